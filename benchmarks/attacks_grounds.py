@@ -241,10 +241,14 @@ def _labels() -> Iterator[tuple[str, Callable[[Path], str]]]:
         Image.new("RGB", (8, 8)).save(labels / "birds" / f"{'x' * 200}.png")
 
     yield "pictures: a bomb of 900 million pixels", told(lesson_with(bomb))
+
+    def owl(make: Callable[[Path], object]) -> Callable[[Path], object]:
+        return lambda labels: make(labels / "birds" / "owl.png")
+
     for name, make in SPECIAL.items():
         yield (
             f"pictures: {name}",
-            told(lesson_with(lambda labels, make=make: make(labels / "birds" / "owl.png"))),
+            told(lesson_with(owl(make))),
         )
     yield "pictures: a link out of the folder", taken(lesson_with(out_of_it))
     yield "pictures: a folder within itself", taken(lesson_with(cycle))
@@ -351,8 +355,10 @@ def _refused_or_safe(words: tuple[object, ...]) -> Callable[[Path], str]:
     def run(folder: Path) -> str:
         ended = command(*words)
         if ended.code == 2:
-            return why_not_refused(ended)
-        if found := unprintable(ended.out.replace("\n", "")):
+            reason: str = why_not_refused(ended)
+            return reason
+        found: str | None = unprintable(ended.out.replace("\n", ""))
+        if found:
             return f"{found} was printed"
         document = json.loads((folder / "s.json").read_text("utf-8"))
         return "" if isinstance(document, dict) else "no object was written"

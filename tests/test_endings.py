@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import stuck_pilots
@@ -117,7 +118,7 @@ def test_workers_that_hear_nothing_are_not_waited_for_one_by_one(tmp_path, monke
     waited: list[float] = []
     monkeypatch.setattr(pool.time, "monotonic", lambda: sum(waited))
 
-    def worker() -> SimpleNamespace:
+    def worker() -> Any:
         process = SimpleNamespace(terminate=lambda: None, kill=lambda: None, join=waited.append)
         return SimpleNamespace(process=process, connection=SimpleNamespace(close=lambda: None))
 

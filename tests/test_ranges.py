@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from typing import Annotated
 
@@ -109,7 +110,7 @@ def test_an_empty_argument_without_an_option_is_refused(refused):
 def test_every_command_checks_its_arguments_first(monkeypatch, name):
     """Whatever a command is, its wrapper has the same options and refuses the same values."""
     command = load(name)
-    begun = cli._checked(command)
+    begun = cli._checked(command, contextlib.nullcontext)
     assert begun.__wrapped__ is command
     check_arguments(command, {})  # its annotations can be read
 

@@ -117,9 +117,9 @@ def test_nothing_is_written_through_a_link_in_the_folder(folder, facts, tmp_path
     (folder / "run.json").touch()
     (folder / name).unlink(missing_ok=True)
     (folder / name).symlink_to(other)
-    for options in ({"resume": True}, {"overwrite": True}):
+    for resume in (True, False):
         with pytest.raises(RunError, match="contains the link"):
-            RunFolder(folder, facts, **options)
+            RunFolder(folder, facts, resume=resume, overwrite=not resume)
     assert other.read_text() == "precious"
 
 

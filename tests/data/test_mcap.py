@@ -45,8 +45,8 @@ def humble(information: dict[str, Any]) -> None:
     numbers = information["version"], information["message_count"], information["duration"]["nanoseconds"]
     assert all(isinstance(number, int) for number in numbers)
     assert isinstance(information["starting_time"]["nanoseconds_since_epoch"], int)
-    names = ("storage_identifier", "compression_format", "compression_mode")
-    assert all(isinstance(information[name], str) for name in names)
+    texts = ("storage_identifier", "compression_format", "compression_mode")
+    assert all(isinstance(information[name], str) for name in texts)
     assert all(isinstance(path, str) for path in information["relative_file_paths"])
     for topic in information["topics_with_message_count"]:
         about = topic["topic_metadata"]

@@ -36,7 +36,12 @@ def _trusting_nothing(monkeypatch):
 def refused(monkeypatch):
     """What a policy's check says of the server at an address, which it tries once only."""
     tried, connect = [], Connection._connect
-    monkeypatch.setattr(Connection, "_connect", lambda self: tried.append(self.url) or connect(self))
+
+    def try_once(self):
+        tried.append(self.url)
+        return connect(self)
+
+    monkeypatch.setattr(Connection, "_connect", try_once)
 
     def check(address: str) -> str:
         policy = make_policy(f"remote:wss://{address}")

@@ -112,7 +112,8 @@ def _manifest(root: Path, sums: Mapping[str, str] | None, hash_of: _Hashes) -> d
         check_manifest(manifest, "is damaged")
     except DataError as error:
         return Problem(MANIFEST, str(error))
-    return manifest
+    checked: dict[str, Any] = manifest
+    return checked
 
 
 def _shard_problems(root: Path, manifest: dict[str, Any], hash_of: _Hashes) -> Iterator[Problem]:

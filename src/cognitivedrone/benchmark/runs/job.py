@@ -81,8 +81,8 @@ def resolve(plan: Plan, *, named: bool = True) -> Job:
     if labels is not None or suite.name not in SUITES:  # the shipped pack draws every shipped suite
         tasks = [task for index in episodes for task in suite.tracks[index]]
         marks = [task.landmark.label for task in tasks if task.landmark]
-        shown = [reference for task in tasks for reference in (*task.labels, task.board) if reference]
-        for reference in sorted({*shown, *marks}):
+        pictures = [reference for task in tasks for reference in (*task.labels, task.board) if reference]
+        for reference in sorted({*pictures, *marks}):
             pack.image(reference)
     return Job(plan, suite, facts, delays, episodes, request)
 

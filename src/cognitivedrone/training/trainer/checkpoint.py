@@ -111,8 +111,8 @@ def restore(tensors: dict[str, Tensor], network: nn.Module, optimizer: torch.opt
             if not (number.isdecimal() and number.isascii() and len(number) < 10 and int(number) < len(weights)):
                 raise TrainingError(f"the checkpoint has {visible(name)!r}, which is of no weight; {_ANEW}")
             state.setdefault(int(number), {})[key] = value
-    for number, moments in state.items():
-        check_moments(f"optimizer.{number}", weights[number], moments)
+    for index, moments in state.items():
+        check_moments(f"optimizer.{index}", weights[index], moments)
     optimizer.load_state_dict({**optimizer.state_dict(), "state": state})
     # Fused optimisers iterate over memory, so moments need the same layout as their weights: channels last, for some.
     for parameter, moments in optimizer.state.items():

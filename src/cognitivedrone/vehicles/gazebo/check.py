@@ -44,7 +44,7 @@ def find_checker() -> Checker | None:
             return Checker(found, (sys.executable, "-I", "-S", "-c", _CALL, found))
     for name in COMMANDS:
         found = shutil.which(name)
-        if found is not None and _ran((found, "sdf", "--versions"), os.devnull).returncode == 0:
+        if found is not None and _ran((found, "sdf", "--versions"), Path(os.devnull)).returncode == 0:
             return Checker(f"{name} sdf", (found, "sdf", "--check"))
     return None
 
