@@ -140,5 +140,5 @@ def test_a_place_in_a_task_file_is_a_number(tmp_path, value):
     task["layout"]["1"]["yaw" if "yaw" in task["layout"]["1"] else "x"] = "VALUE"
     file = tmp_path / "tasks.json"
     file.write_text(json.dumps([task]).replace('"VALUE"', str(value)))
-    with pytest.raises(TaskError, match=r"the place of gate 1 must be|of gate 1 is .*; it must be from"):
+    with pytest.raises(TaskError, match=r"the place of gate 1 must be|of gate 1 is .*; it must be from|digits"):
         read_tasks(file)
