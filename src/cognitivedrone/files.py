@@ -1,15 +1,14 @@
 """Files and folders whose names or contents come from somebody else, and disks that refuse.
 
 `safe_name` is the only way from a text of some data to a part of a path, `read_regular` the way to read a file that
-could be a pipe, a device or endless, `replacing` the way to write one whole or not at all, `writing` the way to tell in
-one sentence that a disk is full, and `take_lock` the lock of a folder that has one writer.
+could be a pipe, a device or endless, `replacing` the way to write one whole or not at all, and `writing` the way to
+tell in one sentence that a disk is full.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import hashlib
 import os
 import stat
@@ -110,19 +109,6 @@ def digest_of_file(path: Path) -> str:
     """SHA-256 of a file's content, hexadecimal."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-def take_lock(descriptor: int) -> bool:
-    """Take the exclusive lock of an open file or folder; False if another process holds it.
-
-    The operating system frees it when the last copy of the descriptor is closed, however its process ends. Raises
-    `OSError` if the file system has no locks.
-    """
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
 
 
 @contextlib.contextmanager

@@ -6,16 +6,18 @@ process that meets a user's error writes its sentence into a file, and the comma
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NoReturn
 
 from cognitivedrone.errors import CognitiveDroneError, TrainingError
+from cognitivedrone.locks import sole_writer
 from cognitivedrone.printable import message
 from cognitivedrone.processes import environment
 
@@ -25,12 +27,30 @@ USAGE = 2
 """Exit code of a process that met a user's error."""
 
 
-def run_processes(command: Sequence[str]) -> None:
-    """Run the command that starts the processes until they end; raises TrainingError if one failed."""
+@contextlib.contextmanager
+def training_lock(out: Path) -> Iterator[int | None]:
+    """The lock of the folder of a training, for as long as it writes there; yields the descriptor that holds it.
+
+    Of several processes the first takes it, or the command that started them all. Raises `TrainingError` if another
+    training has it.
+    """
+    if os.environ.get("RANK", "0") != "0" or ERROR_FILE in os.environ:
+        yield None
+        return
+    with sole_writer(out, TrainingError, "training there") as descriptor:
+        yield descriptor
+
+
+def run_processes(command: Sequence[str], lock: int | None = None) -> None:
+    """Run the command that starts the processes until they end; raises TrainingError if one failed.
+
+    The processes hold the lock of this descriptor, too: it stays if this process is killed and they are not.
+    """
+    kept = () if lock is None else (lock,)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "error"
         variables = {"OMP_NUM_THREADS": "1", **environment(), ERROR_FILE: str(file)}
-        done = subprocess.run(command, env=variables, check=False)  # noqa: S603
+        done = subprocess.run(command, env=variables, pass_fds=kept, check=False)  # noqa: S603
         if file.is_file():
             raise TrainingError(file.read_text(encoding="utf-8"))
     if done.returncode:

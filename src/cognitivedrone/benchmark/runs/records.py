@@ -21,7 +21,8 @@ from cognitivedrone.benchmark.scores.codec import decode, dumps, encode, loads
 from cognitivedrone.benchmark.scores.results import RunFacts, write_whole
 from cognitivedrone.benchmark.scores.run_types import Rollout, Trace
 from cognitivedrone.errors import RunError
-from cognitivedrone.files import check_regular, read_regular, reason_of, take_lock, writing
+from cognitivedrone.files import check_regular, read_regular, reason_of, writing
+from cognitivedrone.locks import take_lock
 from cognitivedrone.types import EpisodeResult
 
 RUN_FILE: Final = "run.json"
@@ -58,8 +59,15 @@ class RunFolder:
     def _open(self, facts: RunFacts, *, resume: bool, overwrite: bool) -> None:
         path = self.path
         exists = _check(path, facts, resume=resume, overwrite=overwrite)
+        created = not path.exists()
         path.mkdir(parents=True, exist_ok=True)
-        self._file = _lock(path / EPISODES_FILE)
+        try:
+            self._file = _lock(path / EPISODES_FILE)
+        except BaseException:
+            if created:
+                with contextlib.suppress(OSError):
+                    path.rmdir()
+            raise
         try:
             self._prepare(facts, keep=exists and resume)
         except BaseException:
@@ -182,6 +190,7 @@ def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
 
 def _lock(path: Path) -> BinaryIO:
     # Neither a pipe, which would wait, nor a file elsewhere, which would be emptied.
+    created = not path.exists()
     descriptor = os.open(
         path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o666
     )
@@ -189,7 +198,14 @@ def _lock(path: Path) -> BinaryIO:
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         file.close()
         raise OSError(errno.EINVAL, "it is not a file", str(path))
-    if not take_lock(file.fileno()):
+    try:
+        free = take_lock(file.fileno(), path.parent, RunError)
+    except BaseException:
+        file.close()
+        if created:
+            path.unlink(missing_ok=True)
+        raise
+    if not free:
         file.close()
         raise RunError(f"another run is writing to {path.parent} right now; wait for it, or give another --out")
     return file

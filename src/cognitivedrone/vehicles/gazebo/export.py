@@ -26,6 +26,7 @@ from cognitivedrone.errors import GazeboError, TaskError, did_you_mean
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.labels import load_pack
+from cognitivedrone.locks import holds_files, sole_writer
 from cognitivedrone.tasks import Suite, open_suite
 from cognitivedrone.types import Image, Stage, Task, Track
 from cognitivedrone.vehicles.gazebo.meshes import MATERIALS, MATERIALS_FILE, obj_text, world_meshes
@@ -107,14 +108,15 @@ def write(track: Track, out: Path, labels: LabelPack, release: Release, appearan
     stages = stages_of(track)
     names = ["world.sdf"] if len(track) == 1 else [f"stage_{number}.sdf" for number in range(1, len(track) + 1)]
     try:
-        if out.exists() and any(out.iterdir()):
+        if out.is_dir() and holds_files(out):
             raise GazeboError(f"{out} is not empty; give --out a new folder, or remove it first")
-        write_meshes(out)
-        for stage, name in zip(stages, names, strict=True):
-            props = write_pictures(stage, labels, appearance, out)
-            (out / name).write_text(document(world_of(stage, props, appearance)), encoding="utf-8")
-        (out / PARAMETERS_FILE).write_text(parameters(), encoding="utf-8")
-        (out / README_FILE).write_text(_readme(track, names, release), encoding="utf-8")
+        with sole_writer(out, GazeboError, "exporting to it"):
+            write_meshes(out)
+            for stage, name in zip(stages, names, strict=True):
+                props = write_pictures(stage, labels, appearance, out)
+                (out / name).write_text(document(world_of(stage, props, appearance)), encoding="utf-8")
+            (out / PARAMETERS_FILE).write_text(parameters(), encoding="utf-8")
+            (out / README_FILE).write_text(_readme(track, names, release), encoding="utf-8")
     except OSError as error:
         raise GazeboError(
             f"cannot write {error.filename or out}: {error.strerror or error};"
