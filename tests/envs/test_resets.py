@@ -10,7 +10,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
-from gymnasium.vector import SyncVectorEnv, VectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.wrappers import vector as wrappers
 
 from cognitivedrone.envs.gym import CognitiveDroneEnv
@@ -225,3 +225,19 @@ def test_gymnasiums_vector_wrappers_work_with_partial_resets(name):
     if name == "RecordEpisodeStatistics":
         assert env.episode_lengths.tolist() == [0, 1, 1], "the statistics of the other worlds go on"
     env.close()
+
+
+def test_without_autoreset_a_world_waits_for_its_mask():
+    env = gymnasium.make_vec(ID, num_envs=WORLDS, suite=SUITE, max_episode_steps=1, autoreset_mode="Disabled")
+    assert env.unwrapped.autoreset_mode is env.metadata["autoreset_mode"] is AutoresetMode.DISABLED
+    still = np.zeros((WORLDS, 4), np.float32)
+    env.reset(seed=0)
+    assert env.step(still)[3].all()
+    env.reset(options={"reset_mask": FIRST})
+    with pytest.raises(NotReset, match="the episode of world 1 has ended; reset it by a reset_mask first"):
+        env.step(still)
+    env.reset(options={"reset_mask": OTHERS})
+    env.step(still)
+    env.close()
+    with pytest.raises(SimulationError, match=r"autoreset_mode is 'SameStep'; .*vectorization_mode='sync'"):
+        gymnasium.make_vec(ID, suite=SUITE, autoreset_mode=AutoresetMode.SAME_STEP)

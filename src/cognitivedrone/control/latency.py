@@ -19,6 +19,7 @@ import numpy as np
 from cognitivedrone.control.calls import NO_WATCH, Watch, calling, check_chunk
 from cognitivedrone.errors import SimulationError
 from cognitivedrone.interfaces import Policy
+from cognitivedrone.texts import decoded
 from cognitivedrone.types import ActionChunk, EpisodeContext, Observation
 
 LONGEST_S = 60.0
@@ -163,7 +164,10 @@ def _delay(value: str, text: str, files: bool) -> tuple[Delay, str]:
     if path.stat().st_size > _LARGEST_FILE:
         raise SimulationError(f"--latency {text}: {path} is over {_LARGEST_FILE // 10**6} MB; give fewer samples")
     content = path.read_bytes()
-    samples = tuple(_samples(content.decode("utf-8", errors="replace"), path))
+    try:
+        samples = tuple(_samples(decoded(content), path))
+    except ValueError as error:
+        raise SimulationError(f"--latency {text}: {path} cannot be read: {error}") from None
     if not samples:
         raise SimulationError(f"--latency {text}: {path} contains no number; write one delay in ms per line")
     return Delay(samples), f"sha256:{hashlib.sha256(content).hexdigest()}"

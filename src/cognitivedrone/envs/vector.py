@@ -14,6 +14,7 @@ from cognitivedrone.envs.options import (
     ANY_EPISODE,
     RESET_MASK,
     Episode,
+    NotReset,
     check_begun,
     drawn,
     read_options,
@@ -24,10 +25,12 @@ from cognitivedrone.envs.options import (
 from cognitivedrone.envs.render import Camera, TaskView
 from cognitivedrone.envs.spaces import Info, action_space, check_actions, observation_space
 from cognitivedrone.envs.worlds import Worlds
-from cognitivedrone.errors import SimulationError
+from cognitivedrone.errors import SimulationError, did_you_mean
 from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.tasks import Suite
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, FloatArray, GroundTruth, StageResult
+
+_AUTORESET_MODES = (AutoresetMode.NEXT_STEP.value, AutoresetMode.DISABLED.value)
 
 
 class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray]):
@@ -36,7 +39,8 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
     Takes the arguments of `CognitiveDroneEnv`, and `threads` (default: the number of cores). `max_episode_steps`
     truncates an episode after so many steps, as `gymnasium.make` does; None and -1 mean no limit.
     A world whose episode ended begins a new one in the next step and ignores that step's action (Gymnasium's next-step
-    mode). Observations are views of buffers that the next step overwrites, unless `copy` is set.
+    mode); with `autoreset_mode="Disabled"` it waits for `reset` with a `reset_mask`. Observations are views of buffers
+    that the next step overwrites, unless `copy` is set.
     Raises as `CognitiveDroneEnv` does.
     """
 
@@ -53,6 +57,7 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
         *,
         time_limit_s: float = 30.0,
         max_episode_steps: int | None = None,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
         copy: bool = True,
         render_mode: str | None = None,
@@ -64,7 +69,15 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
             raise SimulationError(f"num_envs is {num_envs}; it must be at least 1")
         if max_episode_steps is not None and max_episode_steps < 1 and max_episode_steps != -1:
             raise SimulationError(f"max_episode_steps is {max_episode_steps}; it must be at least 1, or None")
+        mode = autoreset_mode.value if isinstance(autoreset_mode, AutoresetMode) else autoreset_mode
+        if mode not in _AUTORESET_MODES:
+            known = did_you_mean(str(mode), _AUTORESET_MODES)
+            raise SimulationError(
+                f"autoreset_mode is {mode!r}; {known}; for others, give make_vec vectorization_mode='sync'"
+            )
         self.num_envs = num_envs
+        self.autoreset_mode = AutoresetMode(mode)  # an attribute too: TorchRL reads it
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.suite = tasks_of(suite, scenario)
         self.render_mode = render_mode
         self.single_observation_space = observation_space()
@@ -106,6 +119,8 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
         self._check_begun("step")
         check_actions(actions, (self.num_envs, 4))
         begins = self._ended
+        if begins.any() and self.autoreset_mode is AutoresetMode.DISABLED:
+            raise NotReset(f"the episode of world {int(np.argmax(begins))} has ended; reset it by a {RESET_MASK} first")
         self._worlds.command(actions)
         results = [None if new else each for each, new in zip(self._worlds.advance(), begins, strict=True)]
         self._steps += 1

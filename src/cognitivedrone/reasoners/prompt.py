@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cognitivedrone.errors import PluginError, ReasonerError
+from cognitivedrone.texts import decoded
 from cognitivedrone.types import COLORS, SHAPES, SIZES
 
 PLACEHOLDER = "{instruction}"
@@ -57,11 +58,11 @@ def load_prompt(path: Path | None = None) -> str:
     try:
         with path.open("rb") as file:
             content = file.read(MAX_PROMPT_BYTES + 1)
-        text = content.decode("utf-8")
+        text = decoded(content)
     except OSError as error:
         raise PluginError(f"prompt file {path}: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise PluginError(f"prompt file {path} is not text in UTF-8") from None
+    except ValueError as error:
+        raise PluginError(f"prompt file {path} cannot be read: {error}") from None
     if len(content) > MAX_PROMPT_BYTES:
         raise PluginError(f"prompt file {path} is over {MAX_PROMPT_BYTES} bytes; a prompt of that length is too slow")
     if PLACEHOLDER not in text:

@@ -9,6 +9,7 @@ from typing import Any, Final, get_args
 
 from cognitivedrone.errors import GroundTruthError, PluginError, ReasonerError, ReasonerFault, did_you_mean
 from cognitivedrone.interfaces import Reasoner
+from cognitivedrone.texts import decoded
 from cognitivedrone.types import EpisodeContext, Guidance, Image
 
 MAX_FILE_BYTES: Final = 64 * 2**20
@@ -26,7 +27,7 @@ def read_answers(path: Path) -> dict[str, tuple[Entry, ...]]:
     empty lines are ignored. Raises `PluginError` with file and line.
     """
     answers: dict[str, list[Entry]] = {}
-    for number, line in enumerate(_content(path).split(b"\n"), start=1):
+    for number, line in enumerate(_content(path).split("\n"), start=1):
         if not line.strip():
             continue
         where = f"{path} line {number}"
@@ -44,7 +45,7 @@ def read_answers(path: Path) -> dict[str, tuple[Entry, ...]]:
     return {task: tuple(entries) for task, entries in answers.items()}
 
 
-def _content(path: Path) -> bytes:
+def _content(path: Path) -> str:
     if not path.is_file():
         raise PluginError(f"replay: there is no file {path}; give one as replay:FILE, such as a run's reason.jsonl")
     try:
@@ -56,7 +57,10 @@ def _content(path: Path) -> bytes:
         raise PluginError(
             f"replay: {path} is larger than {MAX_FILE_BYTES >> 20} MB; keep only the tasks that are flown"
         )
-    return content
+    try:
+        return decoded(content)
+    except ValueError as error:
+        raise PluginError(f"replay: {path} cannot be read: {error}") from None
 
 
 def _entry(obj: Mapping[str, Any], where: str) -> Entry:

@@ -12,6 +12,7 @@ from cognitivedrone.errors import MessageError, ServerError
 from cognitivedrone.files import reason_of
 from cognitivedrone.remote.messages import TOKEN_VARIABLE
 from cognitivedrone.serving.config import LOOPBACK
+from cognitivedrone.texts import decoded
 
 SHORTEST_TOKEN = 16
 """In characters; shorter ones can be guessed."""
@@ -25,8 +26,8 @@ def token_of(host: str, token_file: Path | None) -> str | None:
     """
     if token_file is not None:
         try:
-            token = token_file.read_text("utf-8").strip()
-        except (OSError, UnicodeDecodeError) as error:
+            token = decoded(token_file.read_bytes()).strip()
+        except (OSError, ValueError) as error:
             reason = reason_of(error) if isinstance(error, OSError) else "it is not text"
             raise ServerError(f"--token-file {token_file} cannot be read: {reason}") from None
     else:

@@ -24,6 +24,7 @@ from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.printable import unprintable
 from cognitivedrone.tasks.families import FAMILIES
 from cognitivedrone.tasks.validate import check_text, validate_task
+from cognitivedrone.texts import decoded, load_json
 from cognitivedrone.types import (
     ALL_CATEGORIES,
     Category,
@@ -324,17 +325,17 @@ def _category_and_family(obj: Mapping[str, Any], kind: str | None, where: str) -
 
 
 def read_json(path: Path, max_bytes: int = MAX_FILE_BYTES) -> object:
-    """The content of a JSON file.
+    """The content of a JSON file, in any encoding that `texts.decoded` reads, and with comments.
 
     Raises `TaskError` if it is unreadable, not a regular file, too large, not JSON, or repeats a key.
     """
     try:
         content = read_regular(path, max_bytes)
-        return json.loads(content.decode("utf-8"), object_pairs_hook=_each_key_once)
+        return load_json(decoded(content), object_pairs_hook=_each_key_once)
     except OSError as error:
         raise TaskError(f"{path}: cannot be read ({reason_of(error)}); give a task file or a folder of them") from None
     except (ValueError, RecursionError) as error:
-        raise TaskError(f"{path}: not JSON ({str(error)[:80]}); a task file is a list of tasks") from None
+        raise TaskError(f"{path}: not JSON ({str(error)[:240]}); a task file is a list of tasks") from None
 
 
 def _each_key_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
