@@ -23,6 +23,7 @@ _MARKS = (
 )
 _WAY_OUT = "save it as UTF-8 (Excel: CSV UTF-8), or convert it with iconv -f ITS-ENCODING -t UTF-8"
 _SEPARATORS = ",;\t"
+_FIRST_LINE = 100_000  # characters in which the separator is looked for
 _TOKEN = re.compile(
     r'"(?:[^"\\\n]|\\.)*+"?'  # a string, which may lack its end
     r"|//[^\n]*+|/\*(?:.*?\*/|.*)",
@@ -124,7 +125,7 @@ def read_table(text: str, wanted: Collection[str]) -> Any:
     told = re.match(r'"?sep=([^"\r\n])"?\r?\n', text)
     body = text[told.end() :] if told else text
     separators = told[1] if told else _SEPARATORS
-    first = body.lstrip("\r\n").partition("\n")[0]
+    first = body[:_FIRST_LINE].lstrip("\r\n").partition("\n")[0]
     chosen = separators[0]
     for separator in separators:
         cells = {folded(cell.strip(' "\r')) for cell in first.split(separator)}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from functools import partial
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
@@ -51,7 +52,12 @@ def test_partial_resets_are_those_of_gymnasiums_vector_environments(many):
     single = partial(gymnasium.make, ID, suite=SUITE, time_limit_s=0.5)
     theirs = SyncVectorEnv([single] * WORLDS)
     rng = np.random.default_rng(0)
-    resets = {1: (FIRST, None), 4: (OTHERS, 7), 5: (FIRST, [3, 4, 5]), 8: (np.ones(WORLDS, bool), 1)}
+    resets: dict[int, tuple[np.ndarray, Any]] = {
+        1: (FIRST, None),
+        4: (OTHERS, 7),
+        5: (FIRST, [3, 4, 5]),
+        8: (np.ones(WORLDS, bool), 1),
+    }
     for env in (many, theirs):
         env.reset(seed=0)
     for step, actions in enumerate(rng.uniform(-1, 1, (11, WORLDS, 4)).astype(np.float32)):
@@ -160,12 +166,12 @@ def test_misspelt_options_are_the_packages_errors_in_pythons_words(make, option)
 
 
 def test_max_episode_steps_truncates_as_around_single_environments():
-    options = {"num_envs": 2, "suite": SUITE, "time_limit_s": 0.4, "max_episode_steps": 3}
+    options: dict[str, Any] = {"num_envs": 2, "suite": SUITE, "time_limit_s": 0.4, "max_episode_steps": 3}
     ours, theirs = (gymnasium.make_vec(ID, vectorization_mode=mode, **options) for mode in (None, "sync"))
     seen = [env.reset(seed=0)[0] for env in (ours, theirs)]
     for _ in range(9):
         assert all(np.array_equal(seen[0][key], seen[1][key]) for key in seen[0])
-        steps = [env.step(np.full((2, 4), 0.5, np.float32)) for env in (ours, theirs)]
+        steps: list[Any] = [env.step(np.full((2, 4), 0.5, np.float32)) for env in (ours, theirs)]
         assert [steps[0][part].tolist() for part in (1, 2, 3)] == [steps[1][part].tolist() for part in (1, 2, 3)]
         seen = [step[0] for step in steps]
     ours.close()
@@ -177,7 +183,7 @@ def test_max_episode_steps_truncates_as_around_single_environments():
 def test_a_vector_environment_shows_the_view_from_behind():
     env = gymnasium.make_vec(ID, num_envs=2, suite=SUITE, render_mode="rgb_array", camera="chase")
     env.reset(seed=0)
-    assert [image.shape for image in env.render()] == [(360, 640, 3)] * 2
+    assert [np.shape(image) for image in cast(tuple[np.ndarray, ...], env.render())] == [(360, 640, 3)] * 2
     env.close()
 
 
@@ -205,7 +211,7 @@ WRAPPERS = {
     "FlattenObservation": wrappers.FlattenObservation,
     "TransformAction": lambda env: wrappers.TransformAction(env, lambda action: action),
     "ClipAction": wrappers.ClipAction,
-    "RescaleAction": lambda env: wrappers.RescaleAction(env, np.float32(-1), np.float32(1)),
+    "RescaleAction": lambda env: wrappers.RescaleAction(env, cast(Any, np.float32(-1)), cast(Any, np.float32(1))),
     "TransformReward": lambda env: wrappers.TransformReward(env, lambda reward: reward),
     "ClipReward": lambda env: wrappers.ClipReward(env, 0, 1),
     "NormalizeReward": wrappers.NormalizeReward,

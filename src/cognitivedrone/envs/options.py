@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from inspect import signature
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeGuard
 
 import numpy as np
 from gymnasium.error import ResetNeeded
@@ -27,7 +27,7 @@ class NotReset(SimulationError, ResetNeeded):
 class Episode(NamedTuple):
     """A track of a suite, and the seed of its start, appearance and wind. None: draw it."""
 
-    index: int | None
+    number: int | None
     seed: int | None
 
 
@@ -70,7 +70,7 @@ def read_options(suite: Suite, options: Mapping[str, Any] | None, more: Sequence
 
 def drawn(suite: Suite, rng: np.random.Generator, wanted: Episode) -> tuple[int, int]:
     """The index of an episode, and its seed: those that are wanted, or random ones."""
-    index = int(rng.integers(len(suite.tracks))) if wanted.index is None else wanted.index
+    index = int(rng.integers(len(suite.tracks))) if wanted.number is None else wanted.number
     return index, int(rng.integers(2**31)) if wanted.seed is None else wanted.seed
 
 
@@ -120,5 +120,5 @@ def _listed(seed: Any) -> list[int | None]:
     return list(seed)
 
 
-def _is_whole(value: Any) -> bool:
+def _is_whole(value: object) -> TypeGuard[int]:
     return isinstance(value, int | np.integer)

@@ -63,7 +63,7 @@ def _strings(space: InstructionSpace, shared_memory: Any) -> NDArray[np.str_]:
 
 
 @flatten.register(InstructionSpace)
-def _flatten_instruction(space: InstructionSpace, x: str) -> NDArray[np.int32]:
+def _flatten_instruction(space: InstructionSpace, x: str) -> NDArray[np.int32]:  # type: ignore[misc]
     codes = np.zeros(space.max_length, np.int32)
     codes[: len(x)] = [ord(character) for character in x]
     return codes
@@ -75,7 +75,7 @@ def _flatten_instruction_space(space: InstructionSpace) -> spaces.Box:
 
 
 @unflatten.register(InstructionSpace)
-def _unflatten_instruction(space: InstructionSpace, x: NDArray[Any]) -> str:  # noqa: ARG001
+def _unflatten_instruction(space: InstructionSpace, x: NDArray[Any]) -> str:  # type: ignore[misc]  # noqa: ARG001
     return "".join(chr(code) for code in np.asarray(x).astype(int) if code)
 
 

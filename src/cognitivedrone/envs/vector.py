@@ -77,7 +77,7 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
             )
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(mode)  # an attribute too: TorchRL reads it
-        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}  # type: ignore[misc]
         self.suite = tasks_of(suite, scenario)
         self.render_mode = render_mode
         self.single_observation_space = observation_space()

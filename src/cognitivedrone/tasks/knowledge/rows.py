@@ -66,13 +66,8 @@ def read_rows(
 
 def _named(lines: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
     """The lines without columns that have neither a name nor content, as spreadsheets leave them at the end."""
-    width = max(len(cells) for _, cells in lines)
-    empty = {
-        column
-        for column in range(width)
-        if not any(column < len(cells) and cells[column].strip() for _, cells in lines)
-    }
-    return [(number, [cell for column, cell in enumerate(cells) if column not in empty]) for number, cells in lines]
+    used = {column for _, cells in lines for column, cell in enumerate(cells) if cell.strip()}
+    return [(number, [cell for column, cell in enumerate(cells) if column in used]) for number, cells in lines]
 
 
 def _lines(path: Path, required: tuple[str, ...]) -> list[tuple[int, list[str]]]:
