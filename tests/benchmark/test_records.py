@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import errno
+import fcntl
 import json
 import os
 from dataclasses import replace
@@ -143,3 +145,17 @@ def test_a_damaged_run_file_is_one_sentence(folder, facts, content):
     (folder / EPISODES_FILE).write_text(content + "\n")
     with pytest.raises(RunError, match=r"line 1 is not a record"):
         read_records(folder)
+
+
+def test_a_file_system_without_locks_is_named_and_nothing_is_left_there(tmp_path, facts, folder, monkeypatch):
+    def missing(descriptor: int, operation: int) -> None:
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+
+    monkeypatch.setattr(fcntl, "flock", missing)
+    with pytest.raises(RunError, match=r"the file system there has no locks .*; give a folder on a local disk"):
+        RunFolder(tmp_path / "new", facts)
+    assert not (tmp_path / "new").exists()
+    before = (folder / EPISODES_FILE).read_bytes()
+    with pytest.raises(RunError, match="has no locks"):
+        RunFolder(folder, facts, resume=True)
+    assert (folder / EPISODES_FILE).read_bytes() == before
