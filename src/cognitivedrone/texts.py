@@ -83,8 +83,9 @@ def _windows(content: bytes, first: int) -> str:
     for found in _WORD.finditer(content):
         if not _is_sure(found.group()):
             byte = next((each for each in found.group() if each >= 0x80 and each not in _AGREED), content[first])
+            line = content[:first].count(b"\n") + 1
             raise ValueError(
-                f"it is not UTF-8 text (byte {first + 1}), and what its byte 0x{byte:02X} means depends on where it was"
+                f"it is not UTF-8 text (line {line}), and what its byte 0x{byte:02X} means depends on where it was"
                 f" written; {_WAY_OUT}"
             )
     return "".join(chr(byte) if byte < 0x80 else _AGREED[byte] for byte in content)
