@@ -2,7 +2,8 @@
 or the error's own `exit_code`.
 
 CognitiveDroneError
-├── UsageError       an unknown command
+├── UsageError       an unknown command, a value out of its range
+│   └── UnknownOption    an option that there is not; also a TypeError
 ├── TaskError        a malformed task or task file, an unknown family or suite
 ├── LabelError       an unknown label, pack or style, an unreadable image
 ├── RenderError      no OpenGL to render with
@@ -67,6 +68,10 @@ class CognitiveDroneError(Exception):
 
 class UsageError(CognitiveDroneError):
     """An unknown command."""
+
+
+class UnknownOption(UsageError, TypeError):
+    """A keyword argument that is none of the options; also a `TypeError`, as Python raises it."""
 
 
 class TaskError(CognitiveDroneError):

@@ -11,7 +11,7 @@ Everything that is named from outside is opened, written and removed here, and n
 | `create`, `append` | a file that grows, such as a log, through no link |
 | `remove`, `remove_left_over` | remove, through no link |
 | `writing` | tells in one sentence that a disk is full |
-| `take_lock` | the lock of a folder that has one writer |
+| `take_lock` | the exclusive lock of what is open |
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_type_hints
 
 from cognitivedrone.choices import AppearanceName as AppearanceName
-from cognitivedrone.errors import LinkError, did_you_mean
+from cognitivedrone.errors import LinkError, UnknownOption, did_you_mean
 from cognitivedrone.printable import shown_address
 from cognitivedrone.ranges import WIND, Range, Seed, check_arguments
 
@@ -70,15 +70,15 @@ class Options:
 
     @classmethod
     def of(cls: type[_Self], **values: Any) -> _Self:
-        """A plan from options, or whole parts, by name. Raises `TypeError` for an unknown name."""
+        """A plan from options, or whole parts, by name. Raises `UnknownOption` for an unknown name."""
         made = _build(cls, None, values)
-        _refuse(values, cls)
+        _refuse(values, made)
         return made
 
     def changed(self: _Self, **values: Any) -> _Self:
-        """A copy of this plan with some options, or whole parts, changed. Raises `TypeError` for an unknown name."""
+        """A copy with some options, or whole parts, changed. Raises `UnknownOption` for an unknown name."""
         made = _build(type(self), self, values)
-        _refuse(values, type(self))
+        _refuse(values, made)
         return made
 
     def values(self) -> dict[str, Any]:
@@ -283,9 +283,11 @@ def _build(kind: type[_Self], base: _Self | None, values: dict[str, Any]) -> _Se
     return kind(**given)
 
 
-def _refuse(values: Mapping[str, Any], kind: type[Options]) -> None:
+def _refuse(values: Mapping[str, Any], made: Options) -> None:
     if values:
-        raise TypeError(f"{kind.__name__} has no option {min(values)!r}")
+        name = min(values)
+        hint = did_you_mean(name, made.values())
+        raise UnknownOption(f"{type(made).__name__} got an unexpected keyword argument {name!r}; {hint}")
 
 
 def _default(each: Field[Any]) -> Any:

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import errno
+import fcntl
 import json
 import os
 import zlib
@@ -233,4 +235,18 @@ def test_a_record_that_does_not_fit_the_suite_is_refused_even_with_its_checksum(
     for read in (RunFolder, check_folder):
         with pytest.raises(RunError, match=reason):
             read(folder, job.facts, tracks=tracks, resume=True)
+    assert (folder / EPISODES_FILE).read_bytes() == before
+
+
+def test_a_file_system_without_locks_is_named_and_nothing_is_left_there(tmp_path, facts, folder, monkeypatch):
+    def missing(descriptor: int, operation: int) -> None:
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+
+    monkeypatch.setattr(fcntl, "flock", missing)
+    with pytest.raises(RunError, match=r"the file system there has no locks .*; give a folder on a local disk"):
+        RunFolder(tmp_path / "new", facts)
+    assert not (tmp_path / "new").exists()
+    before = (folder / EPISODES_FILE).read_bytes()
+    with pytest.raises(RunError, match="has no locks"):
+        RunFolder(folder, facts, resume=True)
     assert (folder / EPISODES_FILE).read_bytes() == before

@@ -20,9 +20,10 @@ from cognitivedrone.collect import collector
 from cognitivedrone.collect.collector import CollectPlan, collect
 from cognitivedrone.collect.job import Job
 from cognitivedrone.collect.recipe import RECIPES
-from cognitivedrone.data.layout import sole_writer
+from cognitivedrone.data.layout import WRITING
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError, MissingExtra, PolicyError, TaskError, UsageError
+from cognitivedrone.locks import sole_writer
 from cognitivedrone.plan import TaskSource
 from cognitivedrone.rollout.pool import ProcessPool, WorkerLost
 from cognitivedrone.tasks import load_suite
@@ -163,7 +164,10 @@ def test_a_place_that_cannot_be_written_is_reported_in_one_sentence(tmp_path, pl
 
 
 def test_two_collections_into_one_folder_are_refused(flown, tmp_path):
-    with sole_writer(flown.out), pytest.raises(DataError, match="another process is writing this data set; wait for"):
+    with (
+        sole_writer(flown.out, DataError, WRITING),
+        pytest.raises(DataError, match="another process is writing this data set; wait for"),
+    ):
         collect(config(flown.out, resume=True), progress=False)
     assert collect(config(flown.out, resume=True), progress=False).flown == 0
 

@@ -44,7 +44,7 @@ def test_it_lists_the_arguments():
     own = [name for name in inspect.signature(CognitiveDroneEnv).parameters if name not in ("self", "suite", "options")]
     assert first_column("Create an environment") == [*Scenario().values(), *own]
     more = {name for name in inspect.signature(CognitiveDroneVectorEnv).parameters if name not in own}
-    assert more == {"num_envs", "threads", "copy", "suite", "options"}
+    assert more == {"num_envs", "max_episode_steps", "autoreset_mode", "threads", "copy", "suite", "options"}
 
 
 def test_it_lists_the_observation():

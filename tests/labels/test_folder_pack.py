@@ -272,3 +272,22 @@ def test_no_reference_leads_out_of_a_pack(tmp_path, kind, evil):
 def test_names_that_are_no_utf_8_have_a_digest(tmp_path):
     save(tmp_path / "animal" / os.fsdecode(b"c\xffat.png"))
     assert len(load_pack(str(tmp_path)).digest) == 64
+
+
+@pytest.mark.parametrize("asked", ["boissons/café", "Boissons/CAFE\u0301", "BOISSONS/cafe\u0301", "boissons/ café "])
+@pytest.mark.parametrize("stored", ["café.png", "cafe\u0301.png", "Café .png"])
+def test_names_match_however_accents_are_stored(tmp_path, stored, asked):
+    save(tmp_path / "Boissons" / stored, "red")
+    pack = load_pack(str(tmp_path))
+    assert mean_color(pack, asked) == [255, 0, 0]
+    assert pack.concepts("boissons") == ("café",)
+
+
+def test_folders_that_differ_in_case_or_accents_alone_are_one_kind(tmp_path):
+    for folder, name in (("thé", "a"), ("the\u0301", "b"), ("Thé", "c")):
+        save(tmp_path / folder / f"{name}.png")
+    pack = load_pack(str(tmp_path))
+    assert sorted(pack.concepts("thé")) == ["a", "b", "c"]
+    assert sum(kind.casefold().startswith("th") for kind in pack.kinds()) == 1
+    with pytest.raises(LabelError, match=r"no file .*/cafe\.png .* there; known: a, b, c"):
+        pack.image("the\u0301/cafe")

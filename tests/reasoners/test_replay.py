@@ -84,7 +84,6 @@ def test_empty_lines_and_odd_line_separators_are_read(tmp_path):
     [
         ("<html>", "is not JSON; every line must be one object"),
         ("[" * 100_000, "is not JSON"),
-        ("\udcff", "is not JSON"),
         ("[1]", "must be an object with a task's id"),
         ('{"task": 7, "directive": "Go left"}', "must be an object with a task's id"),
         ('{"task": "a"}', "directive must be a sentence, not None, or fault say why"),
@@ -104,6 +103,13 @@ def test_a_bad_line_is_reported_with_file_and_number(tmp_path, line, message):
     good = json.dumps({"task": FIRST.id, "directive": "Go left"})
     file.write_bytes(f"{good}\n\n{line}\n".encode(errors="surrogateescape"))
     with pytest.raises(PolicyError, match=rf"answers\.jsonl line 3\b.*{message}"):
+        Replay(str(file))
+
+
+def test_a_file_that_is_no_text_is_reported_with_the_line(tmp_path):
+    file = tmp_path / "answers.jsonl"
+    file.write_bytes(b"{}\n\n\xff\n")
+    with pytest.raises(PolicyError, match=r"answers\.jsonl cannot be read: it is not UTF-8 text \(line 3\)"):
         Replay(str(file))
 
 

@@ -224,7 +224,7 @@ def test_a_large_or_unreadable_file_is_rejected(tmp_path: Path) -> None:
     big.write_bytes(b"concept,who\n" + b"x" * (9 * 2**20))
     with pytest.raises(TaskError, match="at most 8,388,608 are read"):
         knowledge.own_claims(big, ["mine/anna"])
-    big.write_bytes("concept,who\nanna,Jürgen\n".encode("latin-1"))
+    big.write_bytes("concept,who\nanna,Юрий\n".encode("cp1251"))
     with pytest.raises(TaskError, match="not UTF-8"):
         knowledge.own_claims(big, ["mine/anna"])
 
@@ -248,6 +248,14 @@ def test_columns_of_their_own_are_closed_over_the_rows(tmp_path: Path) -> None:
     texts = {phrase.text for phrase in sales.phrases}
     assert {"the sales one", "department sales", "sales"} <= texts
     assert found["who", "my mother"].false == {"people/ben", "food/muesli"}
+
+
+def test_a_table_of_excels_means_the_same(tmp_path: Path) -> None:
+    plain = own(tmp_path, "concept,healthy,crunchy\nCafe\u0301,healthy,yes\nmuesli,,no\n", ("food/café", *MINE))
+    file = tmp_path / "facts.csv"
+    file.write_bytes("Concept;Healthy;crunchy;\r\nCAFÉ;healthy;yes;\r\nMuesli ;;no;\r\n".encode("cp1252"))
+    found = knowledge.own_claims(file, ("food/café", *MINE))
+    assert {(each.property, each.value): each for each in found} == plain
 
 
 def test_yes_and_no_have_phrases_of_their_own(tmp_path: Path) -> None:

@@ -66,6 +66,7 @@ def train_openvla(plan: Annotated[Flat[FineTunePlan], tyro.conf.arg(name="")]) -
     from dataclasses import replace
 
     from cognitivedrone.training.openvla.recipes import find_lora_recipe
+    from cognitivedrone.training.processes import training_lock
 
     recipe = find_lora_recipe(plan.recipe)
     if plan.micro_batch is not None:
@@ -77,5 +78,6 @@ def train_openvla(plan: Annotated[Flat[FineTunePlan], tyro.conf.arg(name="")]) -
     config = openvla_lora.FineTuning(
         plan.base, plan.data, plan.out, recipe, plan.seed, plan.resume, plan.shard, plan.key
     )
-    merged = openvla_lora.merge(config) if plan.merge else openvla_lora.fine_tune(config)
+    with training_lock(plan.out):
+        merged = openvla_lora.merge(config) if plan.merge else openvla_lora.fine_tune(config)
     print(visible(f"{merged}; fly it with --policy openvla:{merged}"))  # noqa: T201

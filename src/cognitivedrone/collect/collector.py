@@ -18,10 +18,11 @@ from cognitivedrone.collect.fleet import FlownEpisode
 from cognitivedrone.collect.job import Job, learner_of, open_suite
 from cognitivedrone.collect.recipe import find_recipe
 from cognitivedrone.data.episode import Episode
-from cognitivedrone.data.layout import sole_writer
+from cognitivedrone.data.layout import WRITING
 from cognitivedrone.data.store_writer import StoreWriter
 from cognitivedrone.errors import DataError, RunError, did_you_mean
 from cognitivedrone.labels.folder import digest_of_labels
+from cognitivedrone.locks import sole_writer
 from cognitivedrone.policies import make_policy
 from cognitivedrone.progress import progress_bar
 from cognitivedrone.rollout.pool import Pool, ProcessPool, WorkerCrash
@@ -68,7 +69,7 @@ def collect(config: CollectPlan, progress: bool = True) -> CollectReport:
     suite, making = open_suite(job), _making(job)
     begin = time.perf_counter()
     columns = (SpinnerColumn(), TimeElapsedColumn())
-    with sole_writer(config.out), progress_bar("speed", show=progress, columns=columns) as bar:
+    with sole_writer(config.out, DataError, WRITING), progress_bar("speed", show=progress, columns=columns) as bar:
         line = bar.add_task("checking", total=job.episodes, speed="")
         writer = StoreWriter(
             config.out,

@@ -9,9 +9,10 @@ from pathlib import Path
 
 from cognitivedrone.collect.config import EPISODES_PER_SHARD
 from cognitivedrone.data.formats import import_
-from cognitivedrone.data.layout import sole_writer
+from cognitivedrone.data.layout import WRITING
 from cognitivedrone.data.store_writer import StoreWriter
 from cognitivedrone.errors import DataError
+from cognitivedrone.locks import sole_writer
 
 
 def import_set(source: Path, form: str, out: Path) -> int:
@@ -26,7 +27,7 @@ def import_set(source: Path, form: str, out: Path) -> int:
     recipe = {"name": "imported", "format": form, "source": source.resolve().name}
     flights = import_(source, form)
     taken = 0
-    with sole_writer(out):
+    with sole_writer(out, DataError, WRITING):
         digest = hashlib.sha256(name.encode()).hexdigest()
         writer = StoreWriter(out, recipe, name, digest, seed=0, episodes_per_shard=EPISODES_PER_SHARD)
         for number in count():

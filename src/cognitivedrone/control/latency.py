@@ -20,6 +20,7 @@ from cognitivedrone.control.calls import NO_WATCH, Watch, calling, check_chunk
 from cognitivedrone.errors import SimulationError
 from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.interfaces import Policy
+from cognitivedrone.texts import decoded
 from cognitivedrone.types import ActionChunk, EpisodeContext, Observation
 
 LONGEST_S = 60.0
@@ -167,7 +168,10 @@ def _delay(value: str, text: str, files: bool) -> tuple[Delay, str]:
         content = read_regular(path, _LARGEST_FILE)
     except OSError as error:
         raise SimulationError(f"--latency {text}: {path} cannot be read: {reason_of(error)}; {_HOW}") from None
-    samples = tuple(_samples(content.decode("utf-8", errors="replace"), path))
+    try:
+        samples = tuple(_samples(decoded(content), path))
+    except ValueError as error:
+        raise SimulationError(f"--latency {text}: {path} cannot be read: {error}") from None
     if not samples:
         raise SimulationError(f"--latency {text}: {path} contains no number; write one delay in ms per line")
     return Delay(samples), f"sha256:{hashlib.sha256(content).hexdigest()}"

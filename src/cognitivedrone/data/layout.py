@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,10 +12,9 @@ import numpy as np
 
 from cognitivedrone.data.checksums import SUMS, read_sums
 from cognitivedrone.data.forms import check_manifest
-from cognitivedrone.data.shards import ShardFile, clear_errors, folder_descriptor, json_text, read_json, sha256_of
+from cognitivedrone.data.shards import ShardFile, json_text, read_json, sha256_of
 from cognitivedrone.data.statistics import Flown
 from cognitivedrone.errors import DataError
-from cognitivedrone.files import take_lock
 
 FORMAT: Final = "cognitivedrone-store"
 FORMAT_VERSION: Final = 1
@@ -26,6 +24,8 @@ TASKS: Final = "tasks.json"
 SHARDS: Final = "shards"
 PARTIAL: Final = "partial"
 """Folder of shards that Ctrl-C interrupted, until they are complete."""
+WRITING: Final = "writing this data set"
+"""What the holder of a store's lock is doing."""
 HEAD: Final = ("format", "version", "recipe", "suite", "seed", "episodes_per_shard", "versions", "policy")
 """The part of a manifest that exists from the start and determines every bit; `policy` only if a policy flew."""
 
@@ -148,21 +148,3 @@ def _difference(theirs: Any, ours: Any) -> str:
         keys = sorted(key for key in theirs.keys() | ours.keys() if theirs.get(key) != ours.get(key))
         return ", ".join(f"{key}: {theirs.get(key)!r} there, {ours.get(key)!r} here" for key in keys[:3])
     return f"{theirs!r} there, {ours!r} here"
-
-
-@contextmanager
-def sole_writer(path: Path) -> Iterator[None]:
-    """Create the folder of a store, and lock it against other writers.
-
-    The lock is on the folder itself and leaves no file. Raises `DataError` if another process holds it, or if the
-    folder cannot be created.
-    """
-    if path.exists() and not path.is_dir():
-        raise DataError(f"{path}: is a file; give a new folder")
-    with clear_errors(path, "written"):
-        path.mkdir(parents=True, exist_ok=True)
-    with folder_descriptor(path) as descriptor:
-        with clear_errors(path, "locked"):
-            if not take_lock(descriptor):
-                raise DataError(f"{path}: another process is writing this data set; wait for it or give another folder")
-        yield

@@ -92,8 +92,6 @@ def clear_errors(path: Path, doing: str) -> Iterator[None]:
 def _way_out(doing: str) -> str:
     if doing == "written":
         return "make room there or give another place"
-    if doing == "locked":
-        return "give a folder on a file system that has locks"
     return "run `cognitivedrone data verify` on the store"
 
 

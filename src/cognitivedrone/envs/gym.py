@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 import gymnasium
 import numpy as np
 
+from cognitivedrone.envs.options import check_begun, drawn, read_options, scenario_of, seeds_of
 from cognitivedrone.envs.render import Camera, TaskView
 from cognitivedrone.envs.spaces import Info, action_space, check_actions, observation_space
 from cognitivedrone.envs.worlds import Worlds
@@ -30,8 +31,8 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
     contact, miss or leaving the stage; `truncated` when the stage's time ran out. `info` holds `task`, and the
     `StageResult`s so far as `results`. `reset(options={"episode": i})` flies one chosen episode of the suite, and
     `reset(options={"episode": i, "seed": n})` the one that the benchmark flies as episode i with `--seed n`.
-    Raises `TaskError`, `LabelError`, `SimulationError` or `UsageError` for a suite, labels or conditions that cannot
-    be.
+    Raises `TaskError`, `LabelError`, `SimulationError` or `UsageError` for a suite, labels, conditions or an option
+    that cannot be, and `NotReset` for a step before the first reset.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
@@ -48,7 +49,7 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         camera: Camera = "drone",
         **options: Any,
     ) -> None:
-        scenario = Scenario.of(suite=suite if isinstance(suite, str) else suite.name, **options)
+        scenario = scenario_of(type(self).__init__, suite, options)
         self.suite = tasks_of(suite, scenario)
         self.observation_space = observation_space()
         self.action_space = action_space()  # type: ignore[assignment]
@@ -58,15 +59,21 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         (self.track_runner,) = self._worlds.runners
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], Info]:
-        """Begin an episode, drawn from the seed or given as `options["episode"]`, with `options["seed"]` as well."""
+        """Begin an episode, drawn from the seed or given as `options["episode"]`, with `options["seed"]` as well.
+
+        Raises `TaskError` for other options and for values that cannot be.
+        """
+        wanted = read_options(self.suite, options)
+        (seed,) = seeds_of(seed, 1)
         super().reset(seed=seed)
-        episode, draw = pick_episode(self.suite, self.np_random, options)
+        episode, draw = drawn(self.suite, self.np_random, wanted)
         self._worlds.begin(0, self.suite, episode, draw)
         self.view.cut()
         return self._observe(), self._info(episode=episode)
 
     def step(self, action: Action) -> tuple[dict[str, Any], float, bool, bool, Info]:
         """Fly one control period, 0.1 s."""
+        check_begun(self.track_runner, "step")
         check_actions(action, (4,))
         self._worlds.command(np.asarray(action)[None])
         (result,) = self._worlds.advance()
@@ -74,7 +81,10 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
 
     def render(self) -> Any:
         """The view, (256, 256, 3) uint8 or, from behind, (360, 640, 3); None without a `render_mode`."""
-        return None if self.render_mode is None else self.view.image(self.track_runner)
+        if self.render_mode is None:
+            return None
+        check_begun(self.track_runner, "render")
+        return self.view.image(self.track_runner)
 
     def close(self) -> None:
         """Free the renderers."""
@@ -83,10 +93,12 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
 
     def decline(self, declined: bool = True) -> None:
         """Report that no gate matches the instruction, or cease to; after 3 s in a row the stage ends (`absent`)."""
+        check_begun(self.track_runner, "decline")
         self.track_runner.decline(declined)
 
     def truth(self) -> GroundTruth:
         """Ground truth, for experts that make training data."""
+        check_begun(self.track_runner, "truth")
         return self.track_runner.truth()
 
     def _observe(self) -> dict[str, Any]:
@@ -103,18 +115,6 @@ def tasks_of(suite: str | Suite, scenario: Scenario) -> Suite:
     if scenario.track and scenario.tasks is None and scenario.suite == TRAIN_NAME:
         raise TaskError(f"{TRAIN_NAME} has no end, so it cannot be chained into tracks; leave track=True out")
     return suite_of(scenario, UNLIMITED)
-
-
-def pick_episode(suite: Suite, rng: np.random.Generator, options: dict[str, Any] | None) -> tuple[int, int]:
-    """An episode of the suite and the seed of its start, appearance and wind: those in the options, or random ones."""
-    options, count = options or {}, len(suite.tracks)
-    episode = options["episode"] if "episode" in options else int(rng.integers(count))
-    if not isinstance(episode, int | np.integer) or not 0 <= episode < count:
-        raise TaskError(f"suite {suite.name!r} has episodes 0 to {count - 1}, not {episode!r}")
-    draw = options["seed"] if "seed" in options else int(rng.integers(2**31))
-    if not isinstance(draw, int | np.integer) or draw < 0:
-        raise TaskError(f"the seed of an episode is {draw!r}; it is a whole number, 0 or more")
-    return int(episode), int(draw)
 
 
 def score(result: StageResult | None, finished: bool) -> tuple[float, bool, bool]:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.spaces.utils import flatten, flatten_space, unflatten
 from gymnasium.vector.utils import batch_differing_spaces, read_from_shared_memory, write_to_shared_memory
 from numpy.typing import NDArray
 
@@ -19,16 +20,25 @@ from cognitivedrone.types import ACTION_LIMITS, IMAGE_SIZE, FloatArray
 Info = dict[str, Any]
 
 
+_ASCII = string.ascii_letters + string.digits + string.punctuation + " "
+_LATIN = "".join(chr(code) for code in range(0xA1, 0x180) if code != 0xAD)  # the soft hyphen cannot be seen
+_SIGNS = "\u2013\u2014\u2018\u2019\u201c\u201d\u201e\u2022\u2026\u20ac\u2212"
+_LAST = 0x10FFFF
+"""The largest code point of Unicode."""
+
+
 class InstructionSpace(spaces.Text):
-    """Sentences of 1 to 1000 characters, in any language; samples are printable ASCII.
+    """Sentences of 1 to 1000 characters, in any language; samples are of Latin letters, digits and signs.
+
+    Flattened (`FlattenObservation`), a sentence is its code points, (1000,) int32, followed by zeros: nothing is lost,
+    whatever its letters. Gymnasium's own `Text` knows only the letters that it samples.
 
     Under `AsyncVectorEnv` with shared memory, the instructions arrive as one array (num_envs,) of `str`. Gymnasium's
     own `Text` decodes that memory once, before anything is written to it, so every observation then holds "aaaa...".
     """
 
     def __init__(self, seed: int | np.random.Generator | None = None) -> None:
-        charset = string.ascii_letters + string.digits + string.punctuation + " "
-        super().__init__(max_length=MAX_TEXT, charset=charset, seed=seed)
+        super().__init__(max_length=MAX_TEXT, charset=_ASCII + _LATIN + _SIGNS, seed=seed)
 
     def contains(self, x: Any) -> bool:
         """Whether this is a sentence of valid length."""
@@ -50,6 +60,23 @@ def _strings(space: InstructionSpace, shared_memory: Any) -> NDArray[np.str_]:
     """A view of the memory that Gymnasium allocates for `Text`: 4 bytes per character, as in NumPy."""
     view: NDArray[np.str_] = np.frombuffer(shared_memory.get_obj(), dtype=f"U{space.max_length}")
     return view
+
+
+@flatten.register(InstructionSpace)
+def _flatten_instruction(space: InstructionSpace, x: str) -> NDArray[np.int32]:  # type: ignore[misc]
+    codes = np.zeros(space.max_length, np.int32)
+    codes[: len(x)] = [ord(character) for character in x]
+    return codes
+
+
+@flatten_space.register(InstructionSpace)
+def _flatten_instruction_space(space: InstructionSpace) -> spaces.Box:
+    return spaces.Box(0, _LAST, (space.max_length,), np.int32)
+
+
+@unflatten.register(InstructionSpace)
+def _unflatten_instruction(space: InstructionSpace, x: NDArray[Any]) -> str:  # type: ignore[misc]  # noqa: ARG001
+    return "".join(chr(code) for code in np.asarray(x).astype(int) if code)
 
 
 # The only function of Gymnasium that looks up a space's class directly and so misses its base class.

@@ -9,21 +9,39 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from cognitivedrone.envs.gym import pick_episode, score, tasks_of
+from cognitivedrone.envs.gym import score, tasks_of
+from cognitivedrone.envs.options import (
+    ANY_EPISODE,
+    RESET_MASK,
+    Episode,
+    NotReset,
+    check_begun,
+    drawn,
+    read_options,
+    scenario_of,
+    seeds_of,
+    worlds_to_reset,
+)
+from cognitivedrone.envs.render import Camera, TaskView
 from cognitivedrone.envs.spaces import Info, action_space, check_actions, observation_space
 from cognitivedrone.envs.worlds import Worlds
-from cognitivedrone.errors import SimulationError
-from cognitivedrone.plan import Scenario
+from cognitivedrone.errors import SimulationError, did_you_mean
+from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.tasks import Suite
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, FloatArray, GroundTruth, StageResult
+
+_AUTORESET_MODES = (AutoresetMode.NEXT_STEP.value, AutoresetMode.DISABLED.value)
 
 
 class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray]):
     """`num_envs` worlds of `CognitiveDroneEnv`, with the same spaces, rewards and endings.
 
-    Takes the arguments of `CognitiveDroneEnv`, and `threads` (default: the number of cores).
+    Takes the arguments of `CognitiveDroneEnv`, and `threads` (default: the number of cores). `max_episode_steps`
+    truncates an episode after so many steps, as `gymnasium.make` does; None and -1 mean no limit.
     A world whose episode ended begins a new one in the next step and ignores that step's action (Gymnasium's next-step
-    mode). Observations are views of buffers that the next step overwrites, unless `copy` is set.
+    mode); with `autoreset_mode="Disabled"` it waits for `reset` with a `reset_mask`. Observations are views of buffers
+    that the next step overwrites, unless `copy` is set.
+    Raises as `CognitiveDroneEnv` does.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
@@ -38,70 +56,114 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
         suite: str | Suite = "open-v1:train",
         *,
         time_limit_s: float = 30.0,
+        max_episode_steps: int | None = None,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         threads: int | None = None,
         copy: bool = True,
         render_mode: str | None = None,
+        camera: Camera = "drone",
         **options: Any,
     ) -> None:
+        scenario = scenario_of(type(self).__init__, suite, options)
         if num_envs < 1:
             raise SimulationError(f"num_envs is {num_envs}; it must be at least 1")
-        scenario = Scenario.of(suite=suite if isinstance(suite, str) else suite.name, **options)
+        if max_episode_steps is not None and max_episode_steps < 1 and max_episode_steps != -1:
+            raise SimulationError(f"max_episode_steps is {max_episode_steps}; it must be at least 1, or None")
+        mode = autoreset_mode.value if isinstance(autoreset_mode, AutoresetMode) else autoreset_mode
+        if mode not in _AUTORESET_MODES:
+            known = did_you_mean(str(mode), _AUTORESET_MODES)
+            raise SimulationError(
+                f"autoreset_mode is {mode!r}; {known}; for others, give make_vec vectorization_mode='sync'"
+            )
         self.num_envs = num_envs
+        self.autoreset_mode = AutoresetMode(mode)  # an attribute too: TorchRL reads it
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}  # type: ignore[misc]
         self.suite = tasks_of(suite, scenario)
         self.render_mode = render_mode
         self.single_observation_space = observation_space()
         self.single_action_space = action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._copy = copy
+        self.views = [TaskView(render_mode, camera, find_airframe(scenario.airframe)) for _ in range(num_envs)]
+        self._most_steps = None if max_episode_steps == -1 else max_episode_steps
+        self._camera, self._copy = camera, copy
         threads = threads or min(len(os.sched_getaffinity(0)), num_envs)
         self._worlds = Worlds.of(scenario, num_envs, time_limit_s=time_limit_s, threads=threads)
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]
+        self._begun, self._ended = np.zeros(num_envs, dtype=bool), np.zeros(num_envs, dtype=bool)
+        self._steps = np.zeros(num_envs, dtype=np.int64)
         self._images = np.zeros((num_envs, IMAGE_SIZE, IMAGE_SIZE, 3), dtype=np.uint8)
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], Info]:
-        """Begin an episode in every world; world i is seeded by `seed + i`, or by item i of a list of seeds."""
-        if seed is not None:
-            seeds = [seed + world for world in range(self.num_envs)] if isinstance(seed, int) else seed
-            self._rngs = [np.random.default_rng(each) for each in seeds]
-        for world in range(self.num_envs):
-            self._begin(world, options)
+        """Begin an episode in every world, or in those of `options["reset_mask"]`, (num_envs,) bool; the others fly on.
+
+        World i is seeded by `seed + i`, or by item i of a list of seeds. The other options are those of
+        `CognitiveDroneEnv.reset`, for all worlds that begin. Raises `TaskError` for other options and for values that
+        cannot be, and `NotReset` for a mask that leaves out a world without an episode; nothing is changed then.
+        """
+        wanted = read_options(self.suite, options, (RESET_MASK,))
+        worlds = worlds_to_reset(options, self._begun)
+        seeds = seeds_of(seed, self.num_envs)
+        for world in worlds:
+            if seed is not None:
+                self._rngs[world] = np.random.default_rng(seeds[world])
+            self._begin(world, wanted)
         return self._observe(), self._info([None] * self.num_envs)
 
     def step(
         self, actions: FloatArray
     ) -> tuple[dict[str, Any], FloatArray, np.ndarray[Any, Any], np.ndarray[Any, Any], Info]:
         """Fly all worlds for one control period, 0.1 s."""
+        self._check_begun("step")
         check_actions(actions, (self.num_envs, 4))
-        flying = self._worlds.flying
+        begins = self._ended
+        if begins.any() and self.autoreset_mode is AutoresetMode.DISABLED:
+            raise NotReset(f"the episode of world {int(np.argmax(begins))} has ended; reset it by a {RESET_MASK} first")
         self._worlds.command(actions)
-        results = self._worlds.advance()
-        for world in {*range(self.num_envs)}.difference(flying):
-            self._begin(world, None)
+        results = [None if new else each for each, new in zip(self._worlds.advance(), begins, strict=True)]
+        self._steps += 1
+        for world in np.flatnonzero(begins):
+            self._begin(int(world), ANY_EPISODE)
         scores = [score(result, world.finished) for result, world in zip(results, self._worlds.runners, strict=True)]
         rewards, terminated, truncated = map(np.array, zip(*scores, strict=True))
+        if self._most_steps is not None:
+            truncated |= self._steps >= self._most_steps
+        self._ended = terminated | truncated
         return self._observe(), rewards, terminated, truncated, self._info(results)
 
     def render(self) -> Any:
-        """The first-person views, a tuple of (256, 256, 3) uint8; None without a `render_mode`."""
-        return None if self.render_mode is None else tuple(self._worlds.simulator.frames())
+        """The views, a tuple of (256, 256, 3) uint8, or (360, 640, 3) from behind; None without a `render_mode`."""
+        if self.render_mode is None:
+            return None
+        self._check_begun("render")
+        if self._camera == "drone":  # all at once, on all threads
+            return tuple(self._worlds.simulator.frames())
+        return tuple(view.image(runner) for view, runner in zip(self.views, self._worlds.runners, strict=True))
 
     def close_extras(self, **_: Any) -> None:
         """Free the renderers."""
         # Gymnasium calls this on deletion, also after a failed constructor.
         if hasattr(self, "_worlds"):
+            for view in self.views:
+                view.close()
             self._worlds.close()
 
     def truths(self) -> list[GroundTruth]:
         """Ground truth of each world, for experts that make training data."""
+        self._check_begun("truths")
         return [runner.truth() for runner in self._worlds.runners]
 
-    def _begin(self, world: int, options: dict[str, Any] | None) -> None:
-        rng = self._rngs[world]
-        episode, draw = pick_episode(self.suite, rng, options)
+    def _check_begun(self, action: str) -> None:
+        for world, runner in enumerate(self._worlds.runners):
+            check_begun(runner, action, world)
+
+    def _begin(self, world: int, wanted: Episode) -> None:
+        episode, draw = drawn(self.suite, self._rngs[world], wanted)
         self._worlds.begin(world, self.suite, episode, draw)
+        self._begun[world], self._ended[world], self._steps[world] = True, False, 0
+        self.views[world].cut()
 
     def _observe(self) -> dict[str, Any]:
         observation = self._worlds.observe(self._images)

@@ -18,6 +18,7 @@ from urllib.parse import urlsplit
 from cognitivedrone.errors import CognitiveDroneError, HubError, import_extra
 from cognitivedrone.files import check_no_link, reason_of, remove, replace_file, writing
 from cognitivedrone.hub.contents import SUFFIXES, RepoType, check_names, contents_of, kind_of, size_text
+from cognitivedrone.locks import LOCK_FILE, holds_files, sole_writer
 from cognitivedrone.usage_reports import switch_off
 
 ENDPOINT: Final = "https://huggingface.co"
@@ -71,7 +72,7 @@ def pull(name: str, folder: Path, *, revision: str = "main", max_gb: float = 20.
     What may hold code, is too large or of no known kind is refused, and leaves no folder; an interrupted download goes
     on the next time. Raises `HubError`, `MissingExtra`, and for damaged files `ModelError` or `DataError`.
     """
-    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+    if folder.exists() and not (folder.is_dir() and not holds_files(folder)):
         raise HubError(f"{folder}: is not empty; give a new folder")
     api, endpoint = _api()
     with _refusals(name, endpoint):
@@ -87,6 +88,14 @@ def pull(name: str, folder: Path, *, revision: str = "main", max_gb: float = 20.
     check_names(listed)
     if (size := sum(listed.values())) > max_gb * 1e9:
         raise HubError(f"{name}: has {size_text(size)}, more than {max_gb:g} GB; allow more with --max-gb")
+    with sole_writer(folder, HubError, "pulling into it"):
+        return _download(api, endpoint, repo_type, short, commit, listed, folder)
+
+
+def _download(
+    api: Any, endpoint: str, repo_type: RepoType, short: str, commit: str, listed: dict[str, int], folder: Path
+) -> Transfer:
+    name = _shown(short, repo_type)
     part = folder.with_name(f"{folder.name}.part")
     with _refusals(name, endpoint), writing(part, HubError):
         part.mkdir(parents=True, exist_ok=True)
@@ -101,8 +110,9 @@ def pull(name: str, folder: Path, *, revision: str = "main", max_gb: float = 20.
         with suppress(OSError):
             remove(part)
         raise
-    done = Transfer(_shown(short, repo_type), kind, commit, endpoint, len(listed), size)
+    done = Transfer(name, kind, commit, endpoint, len(listed), sum(listed.values()))
     with writing(folder, HubError):
+        (folder / LOCK_FILE).unlink(missing_ok=True)
         part.replace(folder)
         record = json.dumps(asdict(done), indent=2) + "\n"
         replace_file(folder.with_name(f"{folder.name}.hub.json"), record.encode())

@@ -13,7 +13,8 @@ from typing import Any, Final, get_args
 
 import numpy as np
 
-from cognitivedrone.envs.gym import pick_episode, score
+from cognitivedrone.envs.gym import score
+from cognitivedrone.envs.options import drawn, read_options
 from cognitivedrone.envs.spaces import check_actions
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner
 from cognitivedrone.envs.worlds import Worlds
@@ -82,7 +83,9 @@ class Flights:
         if self._worlds is None:
             self._worlds = Worlds.of(self.scenario, time_limit_s=self.time_limit_s)
         options = {"episode": episode, "seed": seed}
-        self._worlds.begin(0, self.suite, *pick_episode(self.suite, np.random.default_rng(), options))
+        self._worlds.begin(
+            0, self.suite, *drawn(self.suite, np.random.default_rng(), read_options(self.suite, options))
+        )
         return self._look(self._worlds)
 
     def step(self, action: object, *, declines: bool = False) -> tuple[View, float, bool]:

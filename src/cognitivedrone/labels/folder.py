@@ -1,13 +1,15 @@
 """Label pack of a folder of images: `<kind>/<concept>.png` or `<concept>@<style>.png`.
 
 This is also the layout of published label folders (`Animals/cat.jpg`, `Food/Healthy/healthy_13.jpg`). Their names
-vary in case, and some files carry the `dae` of the panel's model (`cheetahdae.jpg`); both are ignored.
+vary in case, and some files carry the `dae` of the panel's model (`cheetahdae.jpg`); both are ignored, as are blanks
+around names and how accents are stored (`texts.folded`).
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
+import unicodedata
 from collections.abc import Iterator
 from functools import cached_property, lru_cache
 from itertools import islice
@@ -19,6 +21,7 @@ from cognitivedrone.files import check_regular, read_regular, reason_of
 from cognitivedrone.labels.extended import ExtendedPack
 from cognitivedrone.labels.images import MAX_FILE_BYTES, SUFFIXES, draw_several, frozen_array, read_image
 from cognitivedrone.references import Reference, parse_reference
+from cognitivedrone.texts import folded
 
 MAX_FILES = 50_000
 """Of a folder: images of a pack, and files of any kind that are hashed."""
@@ -33,7 +36,7 @@ class FolderPack:
         self._folder = folder
         self._fallback = fallback
         self._files = _scan(folder)
-        self._kinds = {kind.casefold(): kind for kind in self._files}
+        self._kinds = {folded(kind): kind for kind in self._files}
         self._cached = lru_cache(maxsize=_CACHED_IMAGES)(self._draw)
 
     def __reduce__(self) -> tuple[type[FolderPack], tuple[Path, ExtendedPack]]:
@@ -58,15 +61,15 @@ class FolderPack:
                 yield from ((kind, concept, style) for style in sorted(styles))
 
     def concepts(self, kind: str) -> tuple[str, ...]:
-        """Concepts of a kind, casefolded; empty if the kind is open, such as sums."""
-        if kind.casefold() in self._kinds:
-            return tuple(self._files[self._kinds[kind.casefold()]])
+        """Concepts of a kind, `folded`; empty if the kind is open, such as sums."""
+        if folded(kind) in self._kinds:
+            return tuple(self._files[self._kinds[folded(kind)]])
         return self._fallback.concepts(kind)
 
     def styles(self, kind: str) -> tuple[str, ...]:
         """Styles of a kind; empty if its images have none."""
-        if kind.casefold() in self._kinds:
-            concepts = self._files[self._kinds[kind.casefold()]].values()
+        if folded(kind) in self._kinds:
+            concepts = self._files[self._kinds[folded(kind)]].values()
             return tuple(sorted({style for files in concepts for style in files if style}))
         return self._fallback.styles(kind)
 
@@ -84,7 +87,7 @@ class FolderPack:
 
     def _draw(self, text: str) -> types.Image:
         reference = parse_reference(text)
-        if reference.kind.casefold() in self._kinds:
+        if folded(reference.kind) in self._kinds:
             return frozen_array(read_image(self._path(reference)))
         if reference.kind == "several":
             return frozen_array(draw_several(reference.concept, reference.style, self.image))
@@ -94,15 +97,15 @@ class FolderPack:
         return self._fallback.image(text)
 
     def _path(self, reference: Reference) -> Path:
-        kind = self._kinds[reference.kind.casefold()]
+        kind = self._kinds[folded(reference.kind)]
         concepts = self._files[kind]
-        concept = reference.concept.casefold().removesuffix(".dae")
+        concept = folded(reference.concept).removesuffix(".dae")
         files = concepts.get(concept) or concepts.get(f"{concept}dae")
         if files is None:
             wanted = f"{kind}/{reference.concept.removesuffix('.dae')}.png (or .jpg, .jpeg, .webp)"
             hint = did_you_mean(concept, concepts)
             raise LabelError(f"label '{reference}' is not in pack {self.name!r}: no file {wanted} there; {hint}")
-        style = reference.style or min(files)
+        style = folded(reference.style) if reference.style else min(files)
         path = files.get(style) or files.get("")
         if path is None:
             hint = did_you_mean(style, files)
@@ -154,12 +157,13 @@ def _check_image_file(path: Path) -> None:
 
 
 def _scan(folder: Path) -> dict[str, dict[str, dict[str, Path]]]:
-    """Kind to concept (casefolded) to style ("" for none) to file. Links that lead out of the folder are ignored.
+    """Kind to concept (`folded`) to style ("" for none) to file. Links that lead out of the folder are ignored.
 
     Raises `LabelError` for a pipe, device, socket, folder or dangling link with an image's name.
     """
     root = folder.resolve()
     found: dict[str, dict[str, dict[str, Path]]] = {}
+    spelled: dict[str, str] = {}
     count = 0
     for parent, folders, names in os.walk(folder):
         folders.sort()
@@ -167,7 +171,7 @@ def _scan(folder: Path) -> dict[str, dict[str, dict[str, Path]]]:
             path = Path(parent) / name
             if path.suffix.lower() not in SUFFIXES:
                 continue
-            kind, _, rest = path.relative_to(folder).as_posix().partition("/")
+            folder_name, _, rest = path.relative_to(folder).as_posix().partition("/")
             _check_image_file(path)
             if not rest or not path.resolve().is_relative_to(root):
                 continue
@@ -175,7 +179,8 @@ def _scan(folder: Path) -> dict[str, dict[str, dict[str, Path]]]:
             if count > MAX_FILES:
                 raise LabelError(f"label folder {folder} holds more than {MAX_FILES} images")
             concept, _, style = rest[: -len(path.suffix)].partition("@")
-            found.setdefault(kind, {}).setdefault(concept.casefold(), {}).setdefault(style, path)
+            kind = spelled.setdefault(folded(folder_name), unicodedata.normalize("NFC", folder_name).strip())
+            found.setdefault(kind, {}).setdefault(folded(concept), {}).setdefault(folded(style), path)
     if not found:
         raise LabelError(f"label folder {folder} holds no images; expected files such as animal/cat.png in it")
     return found

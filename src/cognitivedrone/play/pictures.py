@@ -15,6 +15,7 @@ from cognitivedrone.errors import LabelError
 from cognitivedrone.files import replace_file, replacing
 from cognitivedrone.labels.images import SUFFIXES, read_image
 from cognitivedrone.tasks.suites import drawn_task, suite_of_tasks
+from cognitivedrone.texts import folded
 from cognitivedrone.types import Task
 
 KIND: Final = "mine"
@@ -36,11 +37,11 @@ class Picture:
 
 def spoken_name(spoken: str) -> str:
     """A name for a picture from what a user typed, or a file's name: letters, digits and blanks; may be empty."""
-    stem = spoken.strip()
+    stem = folded(spoken)
     for suffix in (*SUFFIXES, ".gif", ".svg", ".bmp"):
-        stem = stem[: -len(suffix)] if stem.casefold().endswith(suffix) else stem
+        stem = stem[: -len(suffix)] if stem.endswith(suffix) else stem
     words = re.sub(r"[\W_]+", " ", stem).split()
-    return " ".join(words)[:_LONGEST].strip().casefold()
+    return " ".join(words)[:_LONGEST].strip()
 
 
 def keep_picture(folder: Path, name: str, content: bytes, slot: int, taken: Collection[str] = ()) -> Picture:
@@ -92,8 +93,8 @@ def own_scene(pictures: tuple[Picture | None, ...], instruction: str, seed: int)
     for slot, picture in enumerate(pictures):
         if picture is not None:
             labels[slot], options[slot] = picture.reference, picture.name
-    words = set(re.sub(r"[\W_]+", " ", instruction.casefold()).split())
-    named = [slot for slot, name in enumerate(options) if set(re.sub(r"[\W_]+", " ", name).casefold().split()) <= words]
+    words = set(re.sub(r"[\W_]+", " ", folded(instruction)).split())
+    named = [slot for slot, name in enumerate(options) if set(re.sub(r"[\W_]+", " ", folded(name)).split()) <= words]
     target = named[0] if len(named) == 1 else None
     asked = instruction or f"Fly through the gate with the {options[0]}"
     made: Task = replace(

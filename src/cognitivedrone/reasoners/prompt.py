@@ -9,6 +9,7 @@ from typing import Any
 
 from cognitivedrone.errors import PluginError, ReasonerError
 from cognitivedrone.files import read_regular, reason_of
+from cognitivedrone.texts import decoded
 from cognitivedrone.types import COLORS, SHAPES, SIZES
 
 PLACEHOLDER = "{instruction}"
@@ -57,12 +58,12 @@ def load_prompt(path: Path | None = None) -> str:
     if path is None:
         return (resources.files("cognitivedrone.reasoners") / "prompts" / "gate.txt").read_text(encoding="utf-8")
     try:
-        text = read_regular(path, MAX_PROMPT_BYTES).decode("utf-8")
+        text = decoded(read_regular(path, MAX_PROMPT_BYTES))
     except OSError as error:
         way_out = "; a longer prompt is too slow" if error.errno == errno.EFBIG else ""
         raise PluginError(f"prompt file {path}: {reason_of(error)}{way_out}") from None
-    except UnicodeDecodeError:
-        raise PluginError(f"prompt file {path} is not text in UTF-8") from None
+    except ValueError as error:
+        raise PluginError(f"prompt file {path} cannot be read: {error}") from None
     if PLACEHOLDER not in text:
         raise PluginError(f"prompt file {path} lacks {PLACEHOLDER}; write it where the instruction belongs")
     return text

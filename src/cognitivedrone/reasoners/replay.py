@@ -11,6 +11,7 @@ from cognitivedrone.errors import GroundTruthError, PluginError, ReasonerError, 
 from cognitivedrone.files import check_regular, read_regular, reason_of
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.json_text import parse_json
+from cognitivedrone.texts import decoded
 from cognitivedrone.types import EpisodeContext, Guidance, Image
 
 MAX_FILE_BYTES: Final = 64 * 2**20
@@ -28,7 +29,7 @@ def read_answers(path: Path) -> dict[str, tuple[Entry, ...]]:
     empty lines are ignored. Raises `PluginError` with file and line.
     """
     answers: dict[str, list[Entry]] = {}
-    for number, line in enumerate(_content(path).split(b"\n"), start=1):
+    for number, line in enumerate(_content(path).split("\n"), start=1):
         if not line.strip():
             continue
         where = f"{path} line {number}"
@@ -46,11 +47,13 @@ def read_answers(path: Path) -> dict[str, tuple[Entry, ...]]:
     return {task: tuple(entries) for task, entries in answers.items()}
 
 
-def _content(path: Path) -> bytes:
+def _content(path: Path) -> str:
     try:
-        return read_regular(path, MAX_FILE_BYTES)
+        return decoded(read_regular(path, MAX_FILE_BYTES))
     except OSError as error:
         raise _refusal(path, error) from None
+    except ValueError as error:
+        raise PluginError(f"replay: {path} cannot be read: {error}") from None
 
 
 def _refusal(path: Path, error: OSError) -> PluginError:

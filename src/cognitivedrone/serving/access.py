@@ -14,6 +14,7 @@ from cognitivedrone.errors import MessageError, ServerError
 from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.remote.messages import TOKEN_VARIABLE
 from cognitivedrone.serving.config import LOOPBACK
+from cognitivedrone.texts import decoded
 
 SHORTEST_TOKEN = 16
 """In characters; shorter ones can be guessed."""
@@ -29,14 +30,14 @@ def token_of(host: str, token_file: Path | None) -> str | None:
     """
     if token_file is not None:
         try:
-            token = read_regular(token_file, MAX_TOKEN_BYTES).decode().strip()
+            token = decoded(read_regular(token_file, MAX_TOKEN_BYTES)).strip()
             if token_file.stat().st_mode & stat.S_IROTH:
                 warnings.warn(
                     f"--token-file {token_file} can be read by every user of this machine; make it yours alone with"
                     f" `chmod 600 {token_file}`",
                     stacklevel=2,
                 )
-        except (OSError, UnicodeDecodeError) as error:
+        except (OSError, ValueError) as error:
             reason = reason_of(error) if isinstance(error, OSError) else "it is not text"
             raise ServerError(f"--token-file {token_file} cannot be read: {reason}") from None
     else:

@@ -21,10 +21,10 @@ from typing import Any, cast, get_args
 
 from cognitivedrone.errors import TaskError, did_you_mean
 from cognitivedrone.files import read_regular, reason_of, replace_file
-from cognitivedrone.json_text import NotJSON, parse_json
 from cognitivedrone.printable import unprintable
 from cognitivedrone.tasks.families import FAMILIES
 from cognitivedrone.tasks.validate import check_text, validate_task
+from cognitivedrone.texts import decoded, load_json
 from cognitivedrone.types import (
     ALL_CATEGORIES,
     Category,
@@ -325,17 +325,17 @@ def _category_and_family(obj: Mapping[str, Any], kind: str | None, where: str) -
 
 
 def read_json(path: Path, max_bytes: int = MAX_FILE_BYTES) -> object:
-    """The content of a JSON file.
+    """The content of a JSON file, in any encoding that `texts.decoded` reads, and with comments.
 
     Raises `TaskError` if it is unreadable, not a regular file, too large, not JSON, or repeats a key.
     """
     try:
         content = read_regular(path, max_bytes)
-        return parse_json(content, non_finite=True)  # the errors of a task name its field
+        return load_json(decoded(content), non_finite=True)  # the errors of a task name its field
     except OSError as error:
         raise TaskError(f"{path}: cannot be read ({reason_of(error)}); give a task file or a folder of them") from None
-    except NotJSON as error:
-        raise TaskError(f"{path}: not JSON ({str(error)[:80]}); a task file is a list of tasks") from None
+    except ValueError as error:
+        raise TaskError(f"{path}: not JSON ({str(error)[:240]}); a task file is a list of tasks") from None
 
 
 def read_tasks(path: Path) -> list[Task]:

@@ -14,7 +14,7 @@ import tyro
 from cognitivedrone.errors import CognitiveDroneError, TrainingError
 from cognitivedrone.processes import end_with_starter
 from cognitivedrone.training.config import TrainPlan
-from cognitivedrone.training.processes import fail, run_processes
+from cognitivedrone.training.processes import fail, run_processes, training_lock
 from cognitivedrone.training.recipes import find_recipe
 from cognitivedrone.training.trainer.training_task import Given, Recipe
 
@@ -28,7 +28,8 @@ def run(plan: TrainPlan) -> Path:
         return _work(plan)
     print(f"starting {plan.processes} processes, which load PyTorch, too", file=sys.stderr, flush=True)  # noqa: T201
     try:
-        run_processes(command_of(plan))
+        with training_lock(plan.out) as lock:
+            run_processes(command_of(plan), lock)
     except KeyboardInterrupt:
         from cognitivedrone.training.trainer.trainer import stop_message
 
@@ -67,9 +68,14 @@ def _check(plan: TrainPlan) -> Recipe:
 
 def _work(plan: TrainPlan) -> Path:
     """The training in this process."""
+    recipe = _check(plan)
+    with training_lock(plan.out):
+        return _train(plan, recipe)
+
+
+def _train(plan: TrainPlan, recipe: Recipe) -> Path:
     from cognitivedrone.training.trainer.trainer import TrainConfig, train
 
-    recipe = _check(plan)
     training = recipe.training(Given(start=plan.start, data=plan.data, labels=plan.labels, tasks=plan.tasks))
     checkpoint = train(TrainConfig(plan.out, training, plan.seed, plan.resume, plan.threads))
     model = plan.out / recipe.model_file

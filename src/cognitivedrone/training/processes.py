@@ -6,16 +6,18 @@ process that meets a user's error writes its sentence into a file, and the comma
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn
 
 from cognitivedrone.errors import CognitiveDroneError, TrainingError
+from cognitivedrone.locks import sole_writer
 from cognitivedrone.printable import message
 from cognitivedrone.processes import end_with_starter, environment, starter, starting
 from cognitivedrone.temporary import TemporaryFolder
@@ -28,16 +30,32 @@ USAGE = 2
 """Exit code of a process that met a user's error."""
 
 
-def run_processes(command: Sequence[str]) -> None:
+@contextlib.contextmanager
+def training_lock(out: Path) -> Iterator[int | None]:
+    """The lock of the folder of a training, for as long as it writes there; yields the descriptor that holds it.
+
+    Of several processes the first takes it, or the command that started them all. Raises `TrainingError` if another
+    training has it.
+    """
+    if os.environ.get("RANK", "0") != "0" or ERROR_FILE in os.environ:
+        yield None
+        return
+    with sole_writer(out, TrainingError, "training there") as descriptor:
+        yield descriptor
+
+
+def run_processes(command: Sequence[str], lock: int | None = None) -> None:
     """Run the command that starts the processes until they end; raises TrainingError if one failed.
 
-    They end with this call, with an exception in it, and with this process, however that ends.
+    They end with this call, with an exception in it, and with this process, however that ends; until then they hold the
+    lock of this descriptor, too.
     """
+    kept = () if lock is None else (lock,)
     with TemporaryFolder("training") as folder:
         file = folder / "error"
         variables = {"OMP_NUM_THREADS": "1", **environment(), **starter(), ERROR_FILE: str(file)}
         with starting():  # without ctrl-C: this process shuts them down in order
-            process = subprocess.Popen(command, env=variables)  # noqa: S603
+            process = subprocess.Popen(command, env=variables, pass_fds=kept)  # noqa: S603
         try:
             code = process.wait()
         except BaseException:

@@ -41,6 +41,7 @@ from cognitivedrone.files import create, remove, writing
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.interrupts import watched
+from cognitivedrone.locks import sole_writer
 from cognitivedrone.printable import shown_address
 from cognitivedrone.progress import counted
 from cognitivedrone.reasoners import make_reasoner
@@ -226,16 +227,21 @@ def _ask(reasoner: Reasoner, view: View, context: EpisodeContext, frames: int) -
 def _open_answers(out: Path, *, overwrite: bool) -> Iterator[Callable[[Answer], None]]:
     """Create the file of answers; yields a function that appends an answer completely or not at all.
 
-    Raises `RunError` if it already exists and `overwrite` is false, or if it cannot be written.
+    Raises `RunError` if it already exists and `overwrite` is false, if it cannot be written, and if another process is
+    writing it.
     """
     path = out / ANSWERS_FILE
     if out.exists() and not out.is_dir():
         raise RunError(f"{out} is a file; give a folder as --out")
     if path.exists() and not overwrite:
         raise RunError(f"{out} already contains answers; give --overwrite to delete them, or another --out")
+    with sole_writer(out, RunError, "writing answers there"):
+        yield from _answers(path)
+
+
+def _answers(path: Path) -> Iterator[Callable[[Answer], None]]:
     with writing(path, RunError, "give another --out"):
-        out.mkdir(parents=True, exist_ok=True)
-        remove(out, SUMMARY_FILE)
+        remove(path.parent, SUMMARY_FILE)
         file = create(path, buffering=0)
 
     def keep(answer: Answer) -> None:

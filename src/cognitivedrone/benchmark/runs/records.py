@@ -30,10 +30,10 @@ from cognitivedrone.files import (
     reason_of,
     remove,
     remove_left_over,
-    take_lock,
     writing,
 )
 from cognitivedrone.json_text import parse_json
+from cognitivedrone.locks import take_lock
 from cognitivedrone.types import EpisodeResult, Track
 
 RUN_FILE: Final = "run.json"
@@ -86,8 +86,15 @@ class RunFolder:
         exists = _check(path, facts, resume=resume, overwrite=overwrite)
         if exists and resume and (path / EPISODES_FILE).exists():
             check_regular(path / EPISODES_FILE, MAX_EPISODES_BYTES)
+        created = not path.exists()
         path.mkdir(parents=True, exist_ok=True)
-        self._file = _lock(path / EPISODES_FILE)
+        try:
+            self._file = _lock(path / EPISODES_FILE)
+        except BaseException:
+            if created:
+                with contextlib.suppress(OSError):
+                    path.rmdir()
+            raise
         try:
             self._prepare(facts, keep=exists and resume)
         except BaseException:
@@ -268,8 +275,16 @@ def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def _lock(path: Path) -> BinaryIO:
+    created = not path.exists()
     file = append(path)  # closed with the folder
-    if not take_lock(file.fileno()):
+    try:
+        free = take_lock(file.fileno(), path.parent, RunError)
+    except BaseException:
+        file.close()
+        if created:
+            path.unlink(missing_ok=True)
+        raise
+    if not free:
         file.close()
         raise RunError(f"another run is writing to {path.parent} right now; wait for it, or give another --out")
     return file

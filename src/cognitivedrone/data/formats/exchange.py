@@ -19,6 +19,7 @@ from cognitivedrone.data.shards import unpacked_bytes
 from cognitivedrone.errors import DataError, TaskError
 from cognitivedrone.files import check_regular, create, read_regular, reason_of, replacing_folder
 from cognitivedrone.json_text import parse_json
+from cognitivedrone.locks import LOCK_FILE, holds_files, sole_writer
 from cognitivedrone.pictures import MAX_SIDE, open_picture
 from cognitivedrone.tasks import task_from_json, task_to_json
 
@@ -44,14 +45,20 @@ STEP_ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
 def new_folder(out: Path) -> Iterator[Path]:
     """A folder to write into that becomes `out` on success, and is removed on failure.
 
-    Raises `DataError` if `out` is not empty or cannot be written.
+    Raises `DataError` if `out` is not empty, cannot be written, or another process is exporting to it.
     """
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+    if out.exists() and (not out.is_dir() or holds_files(out)):
         raise DataError(f"{out}: exists already; give a new or an empty folder, nothing is overwritten")
+    with sole_writer(out, DataError, "exporting to it"):
+        yield from _filled(out)
+
+
+def _filled(out: Path) -> Iterator[Path]:
     partial = out
     try:
         with replacing_folder(out) as partial:
             yield partial
+            (out / LOCK_FILE).unlink(missing_ok=True)
     except OSError as error:
         place = str(error.filename or out).replace(str(partial), str(out))
         raise DataError(f"{place}: cannot be written ({reason_of(error)}); nothing was left at {out}") from error

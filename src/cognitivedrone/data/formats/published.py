@@ -44,6 +44,7 @@ from cognitivedrone.frames import world_to_heading, wrap_angle, yaw_of
 from cognitivedrone.pictures import MAX_FRAME_BYTES
 from cognitivedrone.tasks import task_from_json, task_to_json
 from cognitivedrone.tasks.format import PUBLISHED_TYPES
+from cognitivedrone.texts import decoded, read_table
 from cognitivedrone.types import CONTROL_HZ, FloatArray, Quaternions
 
 COLUMNS = ("frame_id", "dx", "dy", "dz", "angle", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -143,8 +144,7 @@ def _frame_path(folder: Path, number: int) -> Path:
 def _read_rows(path: Path) -> NDArray[np.float64]:
     """(T, 12) the table; frames must count 1, 2, 3, ... without a gap."""
     try:
-        text = read_regular(path, MAX_JSON_BYTES).decode("utf-8-sig")
-        rows_of_text = csv.reader(StringIO(text, newline=""))
+        rows_of_text = read_table(decoded(read_regular(path, MAX_JSON_BYTES)), COLUMNS)
         header, *lines = [[cell.strip() for cell in line] for line in rows_of_text if line] or [[]]
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({reason_of(error)})") from None

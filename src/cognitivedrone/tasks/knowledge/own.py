@@ -18,6 +18,7 @@ from cognitivedrone.tasks.knowledge.claim import Claim, make_claims
 from cognitivedrone.tasks.knowledge.rows import Row, read_rows
 from cognitivedrone.tasks.knowledge.tables import EMPTY, Entry, Property, Table, parse_row, table
 from cognitivedrone.tasks.knowledge.wordings import FORMS, Phrase, Phrases, fill, load_phrases, phrases
+from cognitivedrone.texts import folded
 
 MAX_OWN_VALUES = 2_000
 """Most different values of all properties of the user's own."""
@@ -54,7 +55,7 @@ def own_claims(path: Path, things: Iterable[str], wordings: Path | None = None) 
     """
     facts, said = table(), phrases()
     extra = load_phrases(wordings) if wordings is not None else None
-    rows = read_rows(path, ("concept",))
+    rows = read_rows(path, ("concept",), spelled=facts.properties)
     if not rows:
         raise TaskError(f"{path.name} has no rows; write one for each concept, below the line of the columns")
     columns = tuple(name for name in rows[0].cells if name != "concept")
@@ -102,7 +103,7 @@ def _entries(rows: list[Row], things: tuple[str, ...]) -> dict[str, Mapping[str,
 
 
 def _plain(name: str) -> str:
-    return "_".join(re.split(r"[\s_-]+", name.casefold().strip()))
+    return "_".join(re.split(r"[\s_-]+", folded(name)))
 
 
 def _with(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import csv
-import io
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from cognitivedrone.errors import TaskError, did_you_mean
 from cognitivedrone.files import read_regular
 from cognitivedrone.printable import unprintable
+from cognitivedrone.texts import decoded, folded, read_table
 
 MAX_BYTES = 8 * 2**20
 """Largest file."""
@@ -30,16 +31,21 @@ class Row:
     cells: dict[str, str]
 
 
-def read_rows(path: Path, required: tuple[str, ...], known: tuple[str, ...] | None = None) -> list[Row]:
-    """All rows of a CSV file with a header; empty lines are skipped.
+def read_rows(
+    path: Path, required: tuple[str, ...], known: tuple[str, ...] | None = None, *, spelled: Iterable[str] = ()
+) -> list[Row]:
+    """All rows of a CSV file with a header; empty lines, and columns without a name and content, are skipped.
 
-    `required` columns must be there. Other columns must be among `known`, unless that is None.
+    `required` columns must be there. Other columns must be among `known`, unless that is None. The names of these, and
+    those in `spelled`, may be written in any case. `texts` says which encodings and separators are read.
     Raises `TaskError` in one sentence for a file that cannot be read, is too large or is not such a table.
     """
-    lines = _lines(path)
+    lines = _lines(path, required)
     if not lines:
         raise TaskError(f"{path.name} is empty; its first line must name the columns, such as {','.join(required)}")
-    header = [cell.strip() for cell in lines[0][1]]
+    spelling = {folded(name): name for name in (*required, *(known or ()), *spelled)}
+    lines = _named(lines)
+    header = [spelling.get(folded(cell), cell.strip()) for cell in lines[0][1]]
     _check_header(path, header, required, known)
     rows = []
     for number, cells in lines[1:]:
@@ -58,14 +64,19 @@ def read_rows(path: Path, required: tuple[str, ...], known: tuple[str, ...] | No
     return rows
 
 
-def _lines(path: Path) -> list[tuple[int, list[str]]]:
+def _named(lines: list[tuple[int, list[str]]]) -> list[tuple[int, list[str]]]:
+    """The lines without columns that have neither a name nor content, as spreadsheets leave them at the end."""
+    used = {column for _, cells in lines for column, cell in enumerate(cells) if cell.strip()}
+    return [(number, [cell for column, cell in enumerate(cells) if column in used]) for number, cells in lines]
+
+
+def _lines(path: Path, required: tuple[str, ...]) -> list[tuple[int, list[str]]]:
     try:
-        text = read_regular(path, MAX_BYTES).decode("utf-8-sig")
+        reader = read_table(decoded(read_regular(path, MAX_BYTES)), required)
     except OSError as error:
         raise TaskError(f"cannot read {path}: {error.strerror}; give a CSV file") from None
-    except UnicodeDecodeError as error:
-        raise TaskError(f"{path.name} is not UTF-8 text (byte {error.start + 1}); save it as CSV in UTF-8") from None
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    except ValueError as error:
+        raise TaskError(f"{path.name} cannot be read: {error}") from None
     found = []
     try:
         for cells in reader:

@@ -23,6 +23,7 @@ from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.format import MAX_FILE_BYTES, read_tasks
 from cognitivedrone.tasks.vocabulary import LETTERS, LOGOS
+from cognitivedrone.texts import folded
 from cognitivedrone.training.perception.attributes import concept_name
 from cognitivedrone.training.teach.facts import facts_file, stated
 from cognitivedrone.training.teach.statement import Statement
@@ -112,7 +113,7 @@ def attribute_of(reference: str) -> str:
     Numbers up to 20, single letters, and the logos and things that are known already keep their names.
     """
     parsed = parse_reference(reference)
-    kind, concept = parsed.kind.casefold(), spoken(parsed.concept)
+    kind, concept = folded(parsed.kind), spoken(parsed.concept)
     joined = concept.replace(" ", "_")
     number = NUMBER_WORDS.get(concept, concept)
     if number.isdigit() and int(number) <= 20:
@@ -126,7 +127,7 @@ def attribute_of(reference: str) -> str:
 
 def spoken(concept: str) -> str:
     """A concept as one says it: without folder, number of the picture, and marks of panel models."""
-    name = concept.rpartition("/")[2].casefold().removesuffix(".dae")
+    name = folded(concept.rpartition("/")[2]).removesuffix(".dae")
     name = name.removesuffix("dae") if len(name) > len("dae") + 2 else name
     numbered = _NUMBERED.fullmatch(name)
     return re.sub(r"[\s_-]+", " ", numbered[1] if numbered else name).strip()
@@ -151,7 +152,7 @@ def _by_name(pictures: dict[str, tuple[str, ...]], kinds: dict[str, str]) -> lis
         kind, _, concept = name.removeprefix("concept/").partition(":")
         noun = concept.replace("_", " ")
         if kind == "thing":
-            folder = _NOT_LETTERS.sub(" ", kinds[name]).strip().casefold()
+            folder = _NOT_LETTERS.sub(" ", folded(kinds[name])).strip()
             phrases = (f"{noun} of {folder}", f"the {noun} among {folder}") if noun in shared else _named(noun)
         else:
             phrases = (f"the {kind} {noun}",) if noun in shared else (noun, f"the {kind} {noun}")

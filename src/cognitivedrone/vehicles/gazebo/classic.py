@@ -25,6 +25,7 @@ from cognitivedrone.errors import GazeboError, did_you_mean
 from cognitivedrone.files import read_regular, reason_of, replace_file, safe_name
 from cognitivedrone.labels.images import MAX_FILE_BYTES, SUFFIXES, read_image
 from cognitivedrone.tasks.format import PUBLISHED_TYPES, read_json, task_from_json, write_tasks
+from cognitivedrone.texts import folded
 from cognitivedrone.types import CATEGORIES, Task
 
 TASKS_FILE, LABELS_FOLDER = "tasks.json", "labels"
@@ -108,7 +109,7 @@ def _task_files(source: Path) -> list[Path]:
     for file in files:
         if safe_name(file.stem) != file.stem:
             raise GazeboError(f"{file}: a type has the name of its file, and no folder can have this name; rename it")
-        if (other := by_type.setdefault(file.stem.casefold(), file)) != file:
+        if (other := by_type.setdefault(folded(file.stem), file)) != file:
             raise GazeboError(f"{other} and {file} have the same type; labels go by type, so rename one of them")
     return files
 
@@ -148,16 +149,16 @@ def _picture(folder: Path, option: str, where: str) -> Path:
     stem = path.name.removesuffix(MODEL)
     there = folder / path.parent
     beside = sorted(there.iterdir()) if there.is_dir() else []
-    models = {file.stem.casefold(): file for file in beside if file.suffix.lower() == MODEL}
-    model = models.get(stem.casefold()) or models.get(f"{stem}{MODEL[1:]}".casefold())
+    models = {folded(file.stem): file for file in beside if file.suffix.lower() == MODEL}
+    model = models.get(folded(stem)) or models.get(folded(f"{stem}{MODEL[1:]}"))
     named = "" if model is None else picture_of(model)
     exact = (there / named).resolve()
     if exact.is_file() and exact.suffix.lower() in SUFFIXES and exact.is_relative_to(folder.parent.resolve()):
         return exact
     pictures = [file for file in beside if file.suffix.lower() in SUFFIXES and file.resolve().parent == there.resolve()]
-    for wanted in (Path(named).name.casefold(), Path(named).stem.casefold(), stem.casefold()):
+    for wanted in (folded(Path(named).name), folded(Path(named).stem), folded(stem)):
         for file in pictures:
-            if wanted in (file.name.casefold(), file.stem.casefold()):
+            if wanted in (folded(file.name), folded(file.stem)):
                 return file
     if model is None:
         raise GazeboError(

@@ -27,6 +27,7 @@ from cognitivedrone.files import replace_file
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.labels import load_pack
+from cognitivedrone.locks import holds_files, sole_writer
 from cognitivedrone.tasks import Suite, open_suite
 from cognitivedrone.types import Image, Stage, Task, Track
 from cognitivedrone.vehicles.gazebo.meshes import MATERIALS, MATERIALS_FILE, obj_text, world_meshes
@@ -108,14 +109,15 @@ def write(track: Track, out: Path, labels: LabelPack, release: Release, appearan
     stages = stages_of(track)
     names = ["world.sdf"] if len(track) == 1 else [f"stage_{number}.sdf" for number in range(1, len(track) + 1)]
     try:
-        if out.exists() and any(out.iterdir()):
+        if out.is_dir() and holds_files(out):
             raise GazeboError(f"{out} is not empty; give --out a new folder, or remove it first")
-        write_meshes(out)
-        for stage, name in zip(stages, names, strict=True):
-            props = write_pictures(stage, labels, appearance, out)
-            replace_file(out / name, document(world_of(stage, props, appearance)).encode())
-        replace_file(out / PARAMETERS_FILE, parameters().encode())
-        replace_file(out / README_FILE, _readme(track, names, release).encode())
+        with sole_writer(out, GazeboError, "exporting to it"):
+            write_meshes(out)
+            for stage, name in zip(stages, names, strict=True):
+                props = write_pictures(stage, labels, appearance, out)
+                replace_file(out / name, document(world_of(stage, props, appearance)).encode())
+            replace_file(out / PARAMETERS_FILE, parameters().encode())
+            replace_file(out / README_FILE, _readme(track, names, release).encode())
     except OSError as error:
         raise GazeboError(
             f"cannot write {error.filename or out}: {error.strerror or error};"
