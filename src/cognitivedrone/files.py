@@ -2,7 +2,8 @@
 
 `safe_name` is the only way from a text of some data to a part of a path, `read_regular` the way to read a file that
 could be a pipe, a device or endless, `replacing` the way to write one whole or not at all, `writing` the way to tell in
-one sentence that a disk is full, and `take_lock` the lock of a folder that has one writer.
+one sentence that a disk is full, and `take_lock` the lock of a folder that has one writer. `is_hidden` tells the files
+that systems and editors leave in folders from those of the user, and `natural_order` sorts names as people count.
 """
 
 from __future__ import annotations
@@ -12,10 +13,11 @@ import errno
 import fcntl
 import hashlib
 import os
+import re
 import stat
 import unicodedata
 from collections.abc import Iterator
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from cognitivedrone.errors import CognitiveDroneError
 
@@ -29,6 +31,30 @@ _KINDS = (
     (stat.S_ISCHR, "a device"),
     (stat.S_ISBLK, "a device"),
 )
+
+
+_LITTER = frozenset(
+    {
+        "__macosx", "thumbs.db", "ehthumbs.db", "desktop.ini", "@eadir", "#recycle", "$recycle.bin", "lost+found",
+        "system volume information",
+    }
+)  # fmt: skip
+"""Names, casefolded, of what Macs, Windows and network disks leave in folders."""
+_DIGITS = re.compile(r"(\d+)")
+
+
+def is_hidden(path: PurePath) -> bool:
+    """Whether a path within a user's folder is none of the user's own files: itself or a folder on the way.
+
+    Hidden are names with a dot in front (`._cat.png` of Macs, `.ipynb_checkpoints`, `.git`) and what systems leave.
+    """
+    return any(part.startswith(".") or part.casefold() in _LITTER for part in path.parts)
+
+
+def natural_order(name: str) -> tuple[tuple[str | int, ...], str]:
+    """Key that sorts names as people count: `frame2.png` before `frame10.png`, whatever their case."""
+    parts = _DIGITS.split(name.casefold())
+    return tuple(int(part) if index % 2 else part for index, part in enumerate(parts)), name
 
 
 def safe_name(text: str) -> str:

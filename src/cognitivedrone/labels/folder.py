@@ -17,7 +17,8 @@ from cognitivedrone import types
 from cognitivedrone.errors import LabelError, did_you_mean
 from cognitivedrone.files import check_regular, read_regular, reason_of
 from cognitivedrone.labels.extended import ExtendedPack
-from cognitivedrone.labels.images import MAX_FILE_BYTES, SUFFIXES, draw_several, frozen_array, read_image
+from cognitivedrone.labels.images import SUFFIXES, draw_several, frozen_array, read_image
+from cognitivedrone.pictures import MAX_FILE_BYTES
 from cognitivedrone.references import Reference, parse_reference
 
 MAX_FILES = 50_000
