@@ -40,15 +40,21 @@ _LITTER = frozenset(
     }
 )  # fmt: skip
 """Names, casefolded, of what Macs, Windows and network disks leave in folders."""
+_HIDDEN = re.compile(r"\.[^.]")
 _DIGITS = re.compile(r"(\d+)")
 
 
 def is_hidden(path: PurePath) -> bool:
     """Whether a path within a user's folder is none of the user's own files: itself or a folder on the way.
 
-    Hidden are names with a dot in front (`._cat.png` of Macs, `.ipynb_checkpoints`, `.git`) and what systems leave.
+    Hidden are names with one dot in front (`._cat.png` of Macs, `.ipynb_checkpoints`, `.git`) and what systems leave.
     """
-    return any(part.startswith(".") or part.casefold() in _LITTER for part in path.parts)
+    return any(_HIDDEN.match(part) or part.casefold() in _LITTER for part in path.parts)
+
+
+def own_files(folder: Path, pattern: str) -> list[Path]:
+    """What matches a pattern below a user's folder, sorted, without what `is_hidden`."""
+    return sorted(path for path in folder.glob(pattern) if not is_hidden(path.relative_to(folder)))
 
 
 def natural_order(name: str) -> tuple[tuple[str | int, ...], str]:

@@ -277,3 +277,67 @@ def test_no_reference_leads_out_of_a_pack(tmp_path, kind, evil):
 def test_names_that_are_no_utf_8_have_a_digest(tmp_path):
     save(tmp_path / "animal" / os.fsdecode(b"c\xffat.png"))
     assert len(load_pack(str(tmp_path)).digest) == 64
+
+
+LITTER = (
+    ".DS_Store", "._cat.png", ".hidden.png", "Thumbs.db", "desktop.ini", "animal/._cat.png", "animal/.cat.png.swp.png",
+    "animal/.ipynb_checkpoints/cat-checkpoint.png", "animal/@eaDir/cat.png", "__MACOSX/animal/cat.png",
+    "__MACOSX/animal/._cat.png", "#recycle/animal/old.png", "$RECYCLE.BIN/animal/old.jpg", ".git/animal/cat.png",
+    "lost+found/x.png", "animal/thumbs.DB",
+)  # fmt: skip
+"""What Macs, Windows, network disks, editors and archives leave in folders."""
+
+
+@pytest.mark.parametrize("name", LITTER)
+def test_what_systems_leave_in_a_folder_is_no_label(folder, name):
+    files, kinds = [*load_pack(str(folder)).files()], load_pack(str(folder)).kinds()
+    digests = load_pack(str(folder)).digest, digest_of_labels(folder)
+    path = folder / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes((folder / "animal" / "cat.png").read_bytes())
+    pack = load_pack(str(folder))
+    assert ([*pack.files()], pack.kinds()) == (files, kinds)
+    assert (pack.digest, digest_of_labels(folder)) == digests
+
+
+def test_a_folder_below_a_hidden_one_can_be_given(tmp_path):
+    save(tmp_path / ".cache" / "labels" / "animal" / "cat.png")
+    assert load_pack(str(tmp_path / ".cache" / "labels")).concepts("animal") == ("cat",)
+
+
+@pytest.mark.parametrize("other", ["animal/cat.jpg", "animal/Cat.png", "Animal/cat.png", "animal/cat.webp"])
+def test_two_files_of_one_name_are_named(tmp_path, other):
+    save(tmp_path / "animal" / "cat.png")
+    save(tmp_path / other)
+    with pytest.warns(UserWarning, match="two files have one name, and the first is not shown: ") as told:
+        load_pack(str(tmp_path))
+    assert "animal/cat.png" in str(told[0].message)
+    assert other in str(told[0].message)
+    assert len(told) == 1
+
+
+def test_kinds_that_differ_in_case_are_one(tmp_path):
+    save(tmp_path / "Animal" / "cat.png", "red")
+    save(tmp_path / "animal" / "dog.png", "blue")
+    pack = load_pack(str(tmp_path))
+    assert (mean_color(pack, "animal/cat"), mean_color(pack, "Animal/dog")) == ([255, 0, 0], [0, 0, 255])
+
+
+def test_pictures_that_are_not_read_are_named(folder, tmp_path):
+    for name in ("cow.heic", "hen.TIFF", "owl.svg"):
+        (folder / "animal" / name).write_bytes(b"x")
+    with pytest.warns(UserWarning, match=r"animal/cow\.heic, animal/hen\.TIFF, animal/owl\.svg cannot be read: save"):
+        load_pack(str(folder))
+    alone = tmp_path / "alone" / "animal"
+    alone.mkdir(parents=True)
+    (alone / "cow.heic").write_bytes(b"x")
+    with pytest.raises(LabelError, match=r"holds no images; .*; animal/cow\.heic cannot be read: save them as PNG"):
+        load_pack(str(alone.parent))
+
+
+def test_grey_of_16_bits_turned_pictures_and_alpha_are_labels(tmp_path):
+    levels = np.linspace(0, 65535, 256)[None].repeat(256, 0).astype(np.uint16)
+    (tmp_path / "animal").mkdir()
+    Image.fromarray(levels).save(tmp_path / "animal" / "cat.png")
+    image = load_pack(str(tmp_path)).image("animal/cat")
+    assert (image == np.arange(256)[None, :, None]).all()

@@ -12,8 +12,8 @@ import numpy as np
 
 from cognitivedrone.apps.scene import MADE, ChosenScene
 from cognitivedrone.errors import LabelError
-from cognitivedrone.files import replace_file
-from cognitivedrone.labels.images import SUFFIXES, read_image
+from cognitivedrone.labels.images import SIDE, SUFFIXES
+from cognitivedrone.pictures import OTHER_SUFFIXES, decode_picture
 from cognitivedrone.tasks.suites import drawn_task, suite_of_tasks
 from cognitivedrone.types import Task
 
@@ -21,7 +21,6 @@ KIND: Final = "mine"
 """Kind of the labels, and folder of the pictures."""
 PANELS: Final = 3
 _LONGEST: Final = 40
-_MAGIC: Final = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF")  # first bytes of PNG, JPEG and WebP
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +36,7 @@ class Picture:
 def spoken_name(spoken: str) -> str:
     """A name for a picture from what a user typed, or a file's name: letters, digits and blanks; may be empty."""
     stem = spoken.strip()
-    for suffix in (*SUFFIXES, ".gif", ".svg", ".bmp"):
+    for suffix in (*SUFFIXES, *OTHER_SUFFIXES, ".bmp"):
         stem = stem[: -len(suffix)] if stem.casefold().endswith(suffix) else stem
     words = re.sub(r"[\W_]+", " ", stem).split()
     return " ".join(words)[:_LONGEST].strip().casefold()
@@ -48,22 +47,13 @@ def keep_picture(folder: Path, name: str, content: bytes, slot: int, taken: Coll
 
     Raises `LabelError` if it is no PNG, JPEG or WebP, or too large.
     """
-    if not content.startswith(_MAGIC):
-        raise LabelError(f"{name[:60] or 'this file'!r} is not a PNG, JPEG or WebP picture; save it as one of these")
+    image = decode_picture(content, repr(name[:60] or "this file"), LabelError, SIDE)
     first = called = spoken_name(name) or f"picture {slot + 1}"
     number = 2
     while called in taken:  # telephones call every photograph "image"
         called, number = f"{first} {number}", number + 1
     place = _file(folder, called)
-    part = place.with_name(f".{place.name}.part")
     place.parent.mkdir(parents=True, exist_ok=True)
-    replace_file(part, content)
-    try:
-        image = read_image(part)
-    except LabelError as error:
-        raise LabelError(str(error).replace(str(part), repr(called))) from None
-    finally:
-        part.unlink(missing_ok=True)
     image.save(place)
     return Picture(called, f"{KIND}/{place.stem}")
 
