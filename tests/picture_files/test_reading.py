@@ -422,6 +422,10 @@ def test_sizes_from_one_pixel_to_a_strip():
 def test_a_picture_beyond_the_limits_is_not_decoded(tmp_path: Path):
     with pytest.raises(LabelError, match=r"7000x6000 pixels; at most 40 million are read; save it smaller"):
         read(encoded(Image.new("1", (7000, 6000))))
+    bomb = png(np.zeros((1, 1), int), 1, 0)
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", 60000, 60000, 1, 0, 0, 0, 0))
+    with pytest.raises(LabelError, match=r"cat\.png has far more than 40 million pixels; save it smaller"):
+        read(bomb[:8] + header + bomb[33:])
     large = tmp_path / "large.png"
     with large.open("wb") as file:
         file.truncate(MAX_FILE_BYTES + 1)

@@ -93,6 +93,8 @@ def decode_picture(
                 image.thumbnail((longest, longest), Image.Resampling.LANCZOS)
     except error:
         raise
+    except Image.DecompressionBombError:
+        raise error(f"{named} has far more than {MAX_PIXELS / 1e6:.0f} million pixels; save it smaller") from None
     except UnidentifiedImageError:
         raise error(f"{named} cannot be read as PNG, JPEG or WebP: it is damaged; copy or save it again") from None
     except Exception as reason:  # Pillow raises many kinds for broken files
@@ -122,7 +124,7 @@ def split_alpha(image: Image.Image, transparent: int | None = None) -> tuple[Ima
     "I" are 16-bit levels. Raises `ValueError` for pixels whose white is unknown.
     """
     if image.mode == "I" or image.mode.startswith("I;16"):
-        levels = np.asarray(image).astype(np.int64)
+        levels = np.asarray(image).astype(np.int32)
         if levels.min() < 0 or levels.max() > 0xFFFF:
             raise ValueError(f"its grey levels are {levels.min()} to {levels.max()}, not 0 to 65535; scale them")
         return _of((levels + 128) // 257), None if transparent is None else _opaque(levels != transparent)
@@ -171,12 +173,12 @@ def _transparent_colour(opened: Image.Image, content: bytes) -> int | None:
 def _rgb_alpha(opened: Image.Image, content: bytes) -> Image.Image:
     """The opacity of a PNG with one transparent colour; of 16 bits, Pillow keeps only the upper 8."""
     key = np.array(opened.info["transparency"])
-    pixels = np.asarray(opened).astype(np.int64)
+    pixels = np.asarray(opened).astype(np.uint16)
     if content[24] == 16:
         with Image.open(BytesIO(content), formats=("PNG",)) as again:
             # Read as if the bytes of each level were in the other order, the lower ones are kept.
             again.tile = [type(tile)(*tile[:3], "RGB;16L") for tile in again.tile]
-            pixels = 256 * pixels + np.asarray(again)
+            pixels = (pixels << 8) + np.asarray(again)
     return _opaque((pixels != key).any(axis=2))
 
 
