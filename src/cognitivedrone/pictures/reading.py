@@ -177,9 +177,14 @@ def _rgb_alpha(opened: Image.Image, content: bytes) -> Image.Image:
     if content[24] == 16:
         with Image.open(BytesIO(content), formats=("PNG",)) as again:
             # Read as if the bytes of each level were in the other order, the lower ones are kept.
-            again.tile = [type(tile)(*tile[:3], "RGB;16L") for tile in again.tile]
+            again.tile = [_with_arguments(tile, "RGB;16L") for tile in again.tile]
             pixels = (pixels << 8) + np.asarray(again)
     return _opaque((pixels != key).any(axis=2))
+
+
+def _with_arguments(tile: Any, arguments: str) -> Any:
+    """One of Pillow's tiles with other arguments for its decoder; up to version 10, tiles are plain tuples."""
+    return tile._replace(args=arguments) if hasattr(tile, "_replace") else (*tile[:3], arguments)
 
 
 def _in_srgb(colour: Image.Image, info: dict[Any, Any]) -> Image.Image:
