@@ -170,6 +170,8 @@ def _opened(data: bytes, where: str) -> PillowImage.Image:
         raise DataError(
             f"{where}: has {picture.width} x {picture.height} pixels; a frame has at most {MAX_SIDE} a side"
         )
+    if picture.mode.startswith("I"):  # 16 bits of grey, which would be white
+        raise DataError(f"{where}: has pixels of 16 bits; a frame has 8 bits a colour, so convert them")
     return picture
 
 
