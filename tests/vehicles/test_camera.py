@@ -272,6 +272,11 @@ def test_a_folder_says_which_pictures_are_not_read(tmp_path):
         (tmp_path / name).write_bytes(b"x")
     with pytest.raises(CameraError, match=r"those there \(\.heic, \.tif\) are not read, save them as PNG or JPEG"):
         open_camera(str(tmp_path))
+    Pictures.new("RGB", (64, 64)).save(tmp_path / "1.png")
+    with pytest.warns(UserWarning, match=r"pictures of other kinds: those there \(\.heic, \.tif\) are not read"):
+        open_camera(str(tmp_path))
+    (tmp_path / "b.tif").unlink()
+    (tmp_path / "IMG_1.HEIC").unlink()
     (tmp_path / "0.jpg").write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic")
     with pytest.raises(CameraError, match=r"the image .*0\.jpg cannot be read as PNG, JPEG or WebP: it is a HEIC"):
         open_camera(str(tmp_path))

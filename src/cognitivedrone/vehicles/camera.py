@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePath
@@ -152,10 +153,12 @@ class FolderCamera:
         self._files = sorted(
             (file for file in files if file.suffix.lower() in PICTURES), key=lambda file: natural_order(file.name)
         )
+        others = sorted({file.suffix.lower() for file in files} & {*OTHER_SUFFIXES})
+        unread = f"those there ({', '.join(others)}) are not read, save them as PNG or JPEG" if others else ""
         if not self._files:
-            others = sorted({file.suffix.lower() for file in files} & {*OTHER_SUFFIXES})
-            there = f"; those there ({', '.join(others)}) are not read, save them as PNG or JPEG" if others else ""
-            raise CameraError(f"{folder} has no image ({', '.join(sorted(PICTURES))}){there}")
+            raise CameraError(f"{folder} has no image ({', '.join(sorted(PICTURES))}){unread and '; '}{unread}")
+        if unread:
+            warnings.warn(f"{folder} has pictures of other kinds: {unread}", stacklevel=2)
         self._config = config
         self._start: float | None = None
         self._shown: tuple[int, Image] = (0, _picture(self._files[0]))
