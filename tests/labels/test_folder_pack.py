@@ -13,7 +13,8 @@ from PIL import ExifTags, Image
 
 from cognitivedrone.errors import LabelError
 from cognitivedrone.labels import load_pack
-from cognitivedrone.labels.folder import digest_of_labels
+from cognitivedrone.labels.extended import extended_pack
+from cognitivedrone.labels.folder import FolderPack, digest_of_labels
 from cognitivedrone.pictures import reading
 
 PUBLISHED = Path(__file__).resolve().parents[3] / "shared" / "upstream"
@@ -290,12 +291,13 @@ LITTER = (
 
 @pytest.mark.parametrize("name", LITTER)
 def test_what_systems_leave_in_a_folder_is_no_label(folder, name):
-    files, kinds = [*load_pack(str(folder)).files()], load_pack(str(folder)).kinds()
+    before = FolderPack(folder, extended_pack("open-v3"))
+    files, kinds = [*before.files()], before.kinds()
     digests = load_pack(str(folder)).digest, digest_of_labels(folder)
     path = folder / name
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes((folder / "animal" / "cat.png").read_bytes())
-    pack = load_pack(str(folder))
+    pack = FolderPack(folder, extended_pack("open-v3"))
     assert ([*pack.files()], pack.kinds()) == (files, kinds)
     assert (pack.digest, digest_of_labels(folder)) == digests
 

@@ -170,8 +170,8 @@ def test_whole_numbers_of_unknown_white_are_refused():
 )
 def test_every_mode_of_every_format_is_read(mode, form):
     image, seen, alpha = in_mode(mode)
-    jpeg = {"quality": 100} if mode == "CMYK" else {"quality": 100, "subsampling": 0}
-    content = encoded(image, form, **{"JPEG": jpeg, "WEBP": {"lossless": True}}.get(form, {}))
+    options: dict[str, dict[str, int]] = {"JPEG": {"quality": 100, "subsampling": 0}, "WEBP": {"lossless": True}}
+    content = encoded(image, form, **options.get(form, {}))
     share = (np.full(seen.shape[:2], 255) if alpha is None else alpha)[..., None] / 255
     assert np.abs(read(content) - (seen * share + 255 * (1 - share))).mean() < (3 if form == "JPEG" else 1.1)
 
