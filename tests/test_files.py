@@ -7,7 +7,7 @@ import os
 import socket
 import stat
 import threading
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import pytest
 from hypothesis import given
@@ -20,7 +20,10 @@ from cognitivedrone.files import (
     check_regular,
     create,
     digest_of_file,
+    is_hidden,
     is_left_over,
+    natural_order,
+    own_files,
     read_regular,
     remove,
     remove_left_over,
@@ -332,3 +335,47 @@ def test_what_killed_writers_left_is_removed_and_what_living_ones_write_is_not(t
         assert {path.name for path in tmp_path.iterdir()} == {temporary.name, "named.tmp", ".hidden"}
     remove_left_over(tmp_path, "nothing")
     assert {path.name for path in tmp_path.iterdir()} == {"file", "named.tmp", ".hidden"}
+
+
+def test_nothing_is_written_through_a_link_with_the_temporary_name(tmp_path):
+    other = tmp_path / "other"
+    other.write_text("precious")
+    (tmp_path / "page.html.tmp").symlink_to(other)
+    replace_file(tmp_path / "page.html", b"new")
+    assert other.read_text() == "precious"
+    assert (tmp_path / "page.html").read_bytes() == b"new"
+    assert not (tmp_path / "page.html").is_symlink()
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "._cat.png", ".DS_Store", "a/.ipynb_checkpoints/b.png", "__MACOSX/a/b.json", "a/Thumbs.db", "THUMBS.DB",
+        "@eaDir/a.png", "x/@eaDir", "Desktop.ini", "$RECYCLE.BIN/a.png", "#recycle/a", "System Volume Information/a",
+    ],
+)  # fmt: skip
+def test_what_systems_leave_is_hidden(name: str, tmp_path: Path) -> None:
+    assert is_hidden(PurePath(name))
+    for each in (name, "mine/shown.png"):
+        (tmp_path / each).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / each).touch()
+    assert [path for path in own_files(tmp_path, "**/*") if path.is_file()] == [tmp_path / "mine/shown.png"]
+
+
+@pytest.mark.parametrize("name", ["cat.png", "my.cat.png", "a/b/c", "thumbs.png", "macosx/a", "eaDir/a", "…/a", "x."])
+def test_what_is_the_users_own_is_not_hidden(name: str) -> None:
+    assert not is_hidden(PurePath(name))
+
+
+def test_names_are_sorted_as_people_count() -> None:
+    names = ["10.png", "2.png", "1.png", "b2a10", "b2a9", "B1", "b", "a", "007", "7", "٣", "²", "img-1.5", "img-1.10"]
+    ordered = sorted(names, key=natural_order)
+    assert [name for name in ordered if name.endswith(".png")] == ["1.png", "2.png", "10.png"]
+    assert [name for name in ordered if name[0] in "bB"] == ["b", "B1", "b2a9", "b2a10"]
+    assert ordered.index("img-1.5") < ordered.index("img-1.10")
+
+
+@given(st.lists(st.text(max_size=12)))
+def test_any_names_can_be_sorted(names: list[str]) -> None:
+    backwards = names[::-1]
+    assert sorted(names, key=natural_order) == sorted(backwards, key=natural_order)

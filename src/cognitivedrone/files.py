@@ -12,6 +12,8 @@ Everything that is named from outside is opened, written and removed here, and n
 | `remove`, `remove_left_over` | remove, through no link |
 | `writing` | tells in one sentence that a disk is full |
 | `take_lock` | the exclusive lock of what is open |
+| `is_hidden`, `own_files` | what systems and editors leave in folders, and the user's own files |
+| `natural_order` | sorts names as people count |
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ import errno
 import fcntl
 import hashlib
 import os
+import re
 import secrets
 import shutil
 import stat
@@ -45,6 +48,36 @@ _KINDS = (
     (stat.S_ISCHR, "a device"),
     (stat.S_ISBLK, "a device"),
 )
+
+
+_LITTER = frozenset(
+    {
+        "__macosx", "thumbs.db", "ehthumbs.db", "desktop.ini", "@eadir", "#recycle", "$recycle.bin", "lost+found",
+        "system volume information",
+    }
+)  # fmt: skip
+"""Names, casefolded, of what Macs, Windows and network disks leave in folders."""
+_HIDDEN = re.compile(r"\.[^.]")
+_DIGITS = re.compile(r"(\d+)")
+
+
+def is_hidden(path: PurePath) -> bool:
+    """Whether a path within a user's folder is none of the user's own files: itself or a folder on the way.
+
+    Hidden are names with one dot in front (`._cat.png` of Macs, `.ipynb_checkpoints`, `.git`) and what systems leave.
+    """
+    return any(_HIDDEN.match(part) or part.casefold() in _LITTER for part in path.parts)
+
+
+def own_files(folder: Path, pattern: str) -> list[Path]:
+    """What matches a pattern below a user's folder, sorted, without what `is_hidden`."""
+    return sorted(path for path in folder.glob(pattern) if not is_hidden(path.relative_to(folder)))
+
+
+def natural_order(name: str) -> tuple[tuple[str | int, ...], str]:
+    """Key that sorts names as people count: `frame2.png` before `frame10.png`, whatever their case."""
+    parts = _DIGITS.split(name.casefold())
+    return tuple(int(part) if index % 2 else part for index, part in enumerate(parts)), name
 
 
 def safe_name(text: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import io
 import json
 import os
 import shutil
@@ -17,11 +18,13 @@ import pyarrow.parquet as pq
 import pytest
 from factory import make_episode
 from made_stores import write_store
+from PIL import Image
 
 from cognitivedrone.cli import main
 from cognitivedrone.collect.importing import import_set
 from cognitivedrone.data.episode import Episode
 from cognitivedrone.data.formats import EXPORTS, export, import_, lerobot, rlds
+from cognitivedrone.data.formats.exchange import check_image, check_size
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError
 
@@ -169,6 +172,14 @@ def test_a_huge_frame_is_refused_by_its_header(
         export([("train", replace(episode, images=(frame,)))], form, tmp_path / "set")
     with pytest.raises(DataError, match=r"13300 x 13300 pixels; a frame has at most 2048|decompression bomb"):
         list(import_(tmp_path / "set", form))
+
+
+def test_a_frame_of_16_bits_does_not_become_white(tmp_path: Path) -> None:
+    buffer = io.BytesIO()
+    Image.fromarray(np.full((256, 256), 1000, np.uint16)).save(buffer, "PNG")
+    for check in (check_image, check_size):
+        with pytest.raises(DataError, match="a frame: has pixels of 16 bits; a frame has 8 bits a colour, so convert"):
+            check(buffer.getvalue(), "a frame")
 
 
 def test_a_huge_video_is_refused_by_its_header(sets: Path, tmp_path: Path) -> None:

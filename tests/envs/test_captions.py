@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+import unicodedata
+from pathlib import Path
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cognitivedrone.envs.captions import font, readable, wrap
+from cognitivedrone.envs import captions
+from cognitivedrone.envs.captions import drawable, font, readable, wrap
 
 
 @given(st.text(st.characters(codec="ascii"), max_size=200), st.integers(40, 400), st.integers(1, 5))
@@ -46,3 +50,61 @@ def test_options_are_shown_as_one_reads_them(option, read):
 def test_any_text_can_be_wrapped(text):
     face = font(16)
     assert all(face.getlength(line) <= 200 for line in wrap(text, 200, face, 3))
+
+
+LETTERS = [
+    chr(code)
+    for first, last in ((0x20, 0x24F), (0x370, 0x3FF), (0x400, 0x525), (0x1E00, 0x1EF9), (0x1F00, 0x1FFF))
+    for code in range(first, last + 1)
+    if unicodedata.category(chr(code))[0] in "LNPSZ"
+]
+"""Of Latin, Greek and Cyrillic texts, with Vietnamese and old Greek."""
+
+
+def test_latin_greek_and_cyrillic_letters_are_drawn():
+    assert len(LETTERS) > 1400
+    box = bytes(font(40).getmask("\uffff"))
+    for letter in LETTERS:
+        assert drawable(letter) == unicodedata.normalize("NFC", letter)
+        assert bytes(font(40).getmask(letter)) != box
+    shapes = {bytes(font(40).getmask(letter)) for letter in "éèêeàáäαβγδжзийłøşğűắ"}
+    assert len(shapes) == 21
+
+
+@pytest.mark.parametrize(
+    ("text", "drawn"),
+    [
+        ("Fliege zum Bären, cafe\u0301, Łódź", "Fliege zum Bären, café, Łódź"),
+        ("Лети к їжаку", "Лети к їжаку"),
+        ("飞到有狗的门", "[6 CJK letters]"),
+        ("gate \u0628\u0631\u062c \u0628\u0631 (5)", "gate [5 Arabic letters] (5)"),
+        ("ท", "[1 Thai letter]"),
+        ("the 🐶 now", "the [dog face] now"),
+        ("ＡＢ 𝐂 ☕\ufe0f", "AB C ☕"),
+        ("\ue000\x1b[31m", "[U+E000][U+001B][31m"),
+        ("אב \n ok\n", "[2 Hebrew letters] \n ok\n"),
+        ("", ""),
+    ],
+)
+def test_what_the_font_lacks_is_said(text, drawn):
+    assert drawable(text) == drawn
+
+
+@given(st.text(max_size=60))
+def test_nothing_is_drawn_as_an_empty_box(text):
+    box = bytes(font(40).getmask("\uffff"))
+    assert all(bytes(font(40).getmask(each)) != box for each in drawable(text) if not each.isspace())
+    assert drawable(drawable(text)) == drawable(text)
+
+
+def test_lines_are_drawable_and_fit():
+    lines = wrap("Лети к ёжику, 飞到有狗的门", 180, font(16), 5)
+    assert " ".join(lines) == "Лети к ёжику, [6 CJK letters]"
+    assert all(font(16).getlength(line) <= 180 for line in lines)
+
+
+def test_the_font_may_be_passed_on():
+    folder = Path(captions.__file__).parent / "fonts"
+    for file in folder.glob("*.ttf"):
+        assert "Permission is hereby granted" in file.with_suffix(".txt").read_text("utf-8")
+        assert f"src/cognitivedrone/envs/fonts/{file.name}" in (Path(__file__).parents[2] / "NOTICE").read_text("utf-8")

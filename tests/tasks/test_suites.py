@@ -261,6 +261,12 @@ def test_a_file_and_a_folder_become_suites(tmp_path: Path) -> None:
     assert len(both.digest) == 64
 
 
+def test_what_systems_leave_in_a_folder_is_no_task_file(tmp_path: Path) -> None:
+    write_tasks(tmp_path / "a.json", [train_task(i) for i in range(2)])
+    (tmp_path / "._a.json").write_bytes(b"\0\5\x16\7")
+    assert suite_from_files(tmp_path).n_tasks == 2
+
+
 def test_published_folders_are_read(tmp_path: Path) -> None:
     (tmp_path / "Reasoning" / "Food").mkdir(parents=True)
     write_tasks(tmp_path / "Reasoning" / "Food" / "Food.json", [train_task(8)])

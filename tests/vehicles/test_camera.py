@@ -6,6 +6,7 @@ import math
 import os
 import resource
 import socket
+import struct
 import threading
 import time
 from io import BytesIO
@@ -16,6 +17,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import ExifTags
 from PIL import Image as Pictures
 
 from cognitivedrone.errors import CameraError
@@ -207,6 +209,135 @@ def test_a_slow_reader_sees_the_newest_frame(video):
     camera.close()
 
 
+def write_lying(path: Path, matrix: tuple[int, int, int, int], picture: np.ndarray) -> Path:
+    """A video of one still picture, whose display matrix a player has to follow."""
+    with av.open(str(path), "w", format="mp4") as container:
+        stream = container.add_stream("mpeg4", rate=10)
+        stream.width, stream.height, stream.pix_fmt = picture.shape[1], picture.shape[0], "yuv420p"
+        stream.bit_rate = 8_000_000
+        for _ in range(3):
+            for packet in stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")):
+                container.mux(packet)
+        for packet in stream.encode():
+            container.mux(packet)
+    content = bytearray(path.read_bytes())
+    place = content.index(b"tkhd") + 4 + 40
+    assert struct.unpack_from(">9i", content, place) == (1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30)
+    a, b, c, d = (65536 * value for value in matrix)
+    struct.pack_into(">9i", content, place, a, b, 0, c, d, 0, 0, 0, 1 << 30)
+    path.write_bytes(content)
+    return path
+
+
+def quarters() -> np.ndarray:
+    """A square of red, green, blue and white quarters, clockwise from the upper left."""
+    picture = np.full((128, 128, 3), 255, np.uint8)
+    picture[:64, :64], picture[:64, 64:], picture[64:, 64:] = (255, 0, 0), (0, 255, 0), (0, 0, 255)
+    return picture
+
+
+def order_of(image: np.ndarray) -> str:
+    """The colours of the quarters, clockwise from the upper left."""
+    picked = (image[y, x].astype(int) for y, x in ((60, 60), (60, 196), (196, 196), (196, 60)))
+    return "".join("w" if each.min() > 127 else "rgb"[int(each.argmax())] for each in picked)
+
+
+TURNS = {
+    (1, 0, 0, 1): lambda stored: stored,
+    (0, 1, -1, 0): lambda stored: np.rot90(stored, 1),  # a telephone held upright
+    (-1, 0, 0, -1): lambda stored: np.rot90(stored, 2),
+    (0, -1, 1, 0): lambda stored: np.rot90(stored, 3),
+    (-1, 0, 0, 1): lambda stored: stored[:, ::-1],  # its camera at the front
+    (1, 0, 0, -1): lambda stored: stored[::-1],
+    (0, 1, 1, 0): lambda stored: stored.transpose(1, 0, 2),
+    (0, -1, -1, 0): lambda stored: np.rot90(stored.transpose(1, 0, 2), 2),
+}
+"""Display matrix (a, b, c, d), and how a picture is stored that it shows upright."""
+
+
+@pytest.mark.parametrize("matrix", TURNS)
+def test_a_video_is_shown_upright(tmp_path, matrix):
+    stored = np.ascontiguousarray(TURNS[matrix](quarters()))
+    camera = open_camera(str(write_lying(tmp_path / "phone.mp4", matrix, stored)), CameraConfig(at_end="loop"))
+    assert order_of(camera.read().image) == "rgbw"
+    camera.close()
+
+
+def test_a_wide_video_on_its_side_is_cropped_after_it_is_turned(tmp_path):
+    upright_picture = np.zeros((192, 128, 3), np.uint8)
+    upright_picture[32:160] = quarters()
+    stored = np.ascontiguousarray(np.rot90(upright_picture, 1))
+    camera = open_camera(str(write_lying(tmp_path / "a.mov", (0, 1, -1, 0), stored)), CameraConfig(at_end="loop"))
+    assert order_of(camera.read().image) == "rgbw"
+    camera.close()
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp"])
+def test_a_picture_in_a_folder_is_shown_upright(tmp_path, suffix):
+    exif = Pictures.Exif()
+    exif[ExifTags.Base.Orientation] = 6
+    Pictures.fromarray(np.rot90(quarters(), 1)).save(tmp_path / f"a{suffix}", exif=exif)
+    assert order_of(open_camera(str(tmp_path)).read().image) == "rgbw"
+    if suffix == ".jpg":  # read as a video, by PyAV
+        assert order_of(open_camera(str(tmp_path / "a.jpg"), CameraConfig(at_end="loop")).read().image) == "rgbw"
+
+
+def frames_in_order(folder: Path) -> list[int]:
+    """The red of every frame of a folder, by a clock that runs as it is told."""
+    config = CameraConfig(rate_hz=1.0)
+    camera = open_camera(str(folder), config)
+    seen = []
+    with pytest.MonkeyPatch.context() as patch:
+        for second in range(1000):
+            patch.setattr(time, "monotonic", lambda now=second + 0.5: now)
+            try:
+                seen.append(int(camera.read().image[0, 0, 0]))
+            except CameraError:
+                return seen
+    return seen
+
+
+def test_frames_are_sorted_as_people_count(tmp_path):
+    for number in (0, 1, 2, 9, 10, 11, 100):
+        Pictures.new("RGB", (64, 64), (number, 0, 0)).save(tmp_path / f"{'F' if number % 2 else 'f'}rame{number}.png")
+    assert frames_in_order(tmp_path) == [0, 1, 2, 9, 10, 11, 100]
+
+
+def test_what_systems_leave_in_a_folder_is_no_frame(tmp_path):
+    write_folder(tmp_path, 2)
+    content = (tmp_path / "00.png").read_bytes()
+    for name in ("._00.png", ".hidden.png", ".DS_Store", "Thumbs.db"):
+        (tmp_path / name).write_bytes(content if name == ".hidden.png" else b"\0\5\x16\7")
+    for folder in ("__MACOSX", "@eaDir", ".ipynb_checkpoints"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "00.png").write_bytes(content)
+    assert frames_in_order(tmp_path) == [60, 120]
+
+
+def test_grey_of_16_bits_and_transparency_are_seen_in_a_folder(tmp_path):
+    levels = np.linspace(0, 65535, 256)[None].repeat(256, 0).astype(np.uint16)
+    Pictures.fromarray(levels).save(tmp_path / "0.png")
+    assert (open_camera(str(tmp_path)).read().image == np.arange(256)[None, :, None]).all()
+    (tmp_path / "0.png").unlink()
+    Pictures.new("RGBA", (300, 300), (0, 0, 0, 0)).save(tmp_path / "0.png")
+    assert (open_camera(str(tmp_path)).read().image == 255).all()
+
+
+def test_a_folder_says_which_pictures_are_not_read(tmp_path):
+    for name in ("IMG_1.HEIC", "b.tif", "c.txt", "._d.gif"):
+        (tmp_path / name).write_bytes(b"x")
+    with pytest.raises(CameraError, match=r"those there \(\.heic, \.tif\) are not read, save them as PNG or JPEG"):
+        open_camera(str(tmp_path))
+    Pictures.new("RGB", (64, 64)).save(tmp_path / "1.png")
+    with pytest.warns(UserWarning, match=r"pictures of other kinds: those there \(\.heic, \.tif\) are not read"):
+        open_camera(str(tmp_path))
+    (tmp_path / "b.tif").unlink()
+    (tmp_path / "IMG_1.HEIC").unlink()
+    (tmp_path / "0.jpg").write_bytes(b"\0\0\0\x18ftypheic\0\0\0\0mif1heic")
+    with pytest.raises(CameraError, match=r"the image .*0\.jpg cannot be read as PNG, JPEG or WebP: it is a HEIC"):
+        open_camera(str(tmp_path))
+
+
 class Server:
     """Sends a stream over TCP to the first who connects, then falls silent until closed."""
 
@@ -270,7 +401,7 @@ def test_what_cannot_be_opened(tmp_path):
             ("/dev/video-none", "there is no camera /dev/video-none; cameras of this machine:"),
             (str(tmp_path / "no.mp4"), "expected a folder of images, a video file"),
             (str(tmp_path / "empty"), "has no image"),
-            (str(broken), "cannot read the image"),
+            (str(broken), "the image .*a.png cannot be read as PNG, JPEG or WebP: it is text that begins with"),
             (str(text), "cannot read .*notes.mp4"),
             (str(sound), "it contains no video"),
             (f"tcp://127.0.0.1:{nobody.getsockname()[1]}", "cannot read tcp://"),

@@ -13,19 +13,22 @@ import unicodedata
 from collections.abc import Iterator
 from functools import cached_property, lru_cache
 from itertools import islice
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from cognitivedrone import types
 from cognitivedrone.errors import LabelError, did_you_mean
-from cognitivedrone.files import check_regular, read_regular, reason_of
+from cognitivedrone.files import check_regular, is_hidden, read_regular, reason_of
 from cognitivedrone.labels.extended import ExtendedPack
-from cognitivedrone.labels.images import MAX_FILE_BYTES, SUFFIXES, draw_several, frozen_array, read_image
+from cognitivedrone.labels.images import SUFFIXES, draw_several, frozen_array, read_image
+from cognitivedrone.pictures import MAX_FILE_BYTES, OTHER_SUFFIXES
 from cognitivedrone.references import Reference, parse_reference
 from cognitivedrone.texts import folded
 
 MAX_FILES = 50_000
 """Of a folder: images of a pack, and files of any kind that are hashed."""
 _CACHED_IMAGES = 128
+_NOT_READ = (*OTHER_SUFFIXES, ".bmp")
+_MOST_NAMED = 5
 
 
 class FolderPack:
@@ -35,7 +38,8 @@ class FolderPack:
         self.name = str(folder)
         self._folder = folder
         self._fallback = fallback
-        self._files = _scan(folder)
+        self._files, self.remarks = _scan(folder)
+        """Kinds, concepts and styles with their files; and sentences about pictures that are not shown."""
         self._kinds = {folded(kind): kind for kind in self._files}
         self._cached = lru_cache(maxsize=_CACHED_IMAGES)(self._draw)
 
@@ -116,13 +120,15 @@ class FolderPack:
 def digest_of_labels(folder: Path) -> str:
     """SHA-256 over the names and contents of a label folder's files, hexadecimal; one file at a time is in memory.
 
-    Of files that are no images and too large to be one, only names and sizes count. Raises `LabelError` for an image
-    that is too large or cannot be read, and for what is no folder or has more than `MAX_FILES` files.
+    What `is_hidden` does not count. Of files that are no images and too large to be one, only names and sizes do.
+    Raises `LabelError` for an image that is too large or cannot be read, and for what is no folder or has more than
+    `MAX_FILES` files.
     """
     if not folder.is_dir():
         raise LabelError(f"--labels {folder} is not a folder of images")
     digest = hashlib.sha256()
-    files = list(islice((path for path in folder.rglob("*") if path.is_file()), MAX_FILES + 1))
+    there = (path for path in folder.rglob("*") if path.is_file() and not is_hidden(path.relative_to(folder)))
+    files = list(islice(there, MAX_FILES + 1))
     if len(files) > MAX_FILES:
         raise LabelError(f"label folder {folder} holds more than {MAX_FILES} files; give a folder of images alone")
     for file in sorted(files):
@@ -156,20 +162,27 @@ def _check_image_file(path: Path) -> None:
         raise LabelError(f"label image {path} cannot be read: {link}; remove it from the folder") from None
 
 
-def _scan(folder: Path) -> dict[str, dict[str, dict[str, Path]]]:
-    """Kind to concept (`folded`) to style ("" for none) to file. Links that lead out of the folder are ignored.
+def _scan(folder: Path) -> tuple[dict[str, dict[str, dict[str, Path]]], tuple[str, ...]]:
+    """Kind to concept (`folded`) to style ("" for none) to file; and sentences about pictures that are not shown.
 
-    Raises `LabelError` for a pipe, device, socket, folder or dangling link with an image's name.
+    Links that lead out of the folder and what `is_hidden` are ignored. Raises `LabelError` for a pipe, device, socket,
+    folder or dangling link with an image's name.
     """
     root = folder.resolve()
     found: dict[str, dict[str, dict[str, Path]]] = {}
     spelled: dict[str, str] = {}
+    twice: list[str] = []
+    others: list[str] = []
     count = 0
     for parent, folders, names in os.walk(folder):
-        folders.sort()
+        folders[:] = sorted(name for name in folders if not is_hidden(PurePath(name)))
         for name in sorted([*names, *folders]):
             path = Path(parent) / name
+            if is_hidden(PurePath(name)):
+                continue
             if path.suffix.lower() not in SUFFIXES:
+                if path.suffix.lower() in _NOT_READ:
+                    others.append(path.relative_to(folder).as_posix())
                 continue
             folder_name, _, rest = path.relative_to(folder).as_posix().partition("/")
             _check_image_file(path)
@@ -180,7 +193,19 @@ def _scan(folder: Path) -> dict[str, dict[str, dict[str, Path]]]:
                 raise LabelError(f"label folder {folder} holds more than {MAX_FILES} images")
             concept, _, style = rest[: -len(path.suffix)].partition("@")
             kind = spelled.setdefault(folded(folder_name), unicodedata.normalize("NFC", folder_name).strip())
-            found.setdefault(kind, {}).setdefault(folded(concept), {}).setdefault(folded(style), path)
+            styles = found.setdefault(kind, {}).setdefault(folded(concept), {})
+            if (shown := styles.setdefault(folded(style), path)) != path:
+                twice.append(f"{path.relative_to(folder)} beside {shown.relative_to(folder)}")
+    unread = f"{_some(others)} cannot be read: save them as PNG, JPEG or WebP" if others else ""
     if not found:
-        raise LabelError(f"label folder {folder} holds no images; expected files such as animal/cat.png in it")
-    return found
+        hint = f"; {unread}" if others else ""
+        raise LabelError(f"label folder {folder} holds no images; expected files such as animal/cat.png in it{hint}")
+    same = f"two files have one name, and the first is not shown: {_some(twice)}; rename or remove one of each"
+    remarks = [*([same] if twice else []), *([unread] if others else [])]
+    return found, tuple(f"label folder {folder}: {remark}" for remark in remarks)
+
+
+def _some(names: list[str]) -> str:
+    """The first of some names."""
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    return ", ".join(names[:_MOST_NAMED]) + more

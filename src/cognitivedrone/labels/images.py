@@ -1,26 +1,22 @@
-"""Panel images: reading untrusted image files, and drawing several pictures on one panel."""
+"""Panel images: sizes, and drawing several pictures on one panel."""
 
 from __future__ import annotations
 
 import hashlib
 import math
 import re
-import warnings
 from collections.abc import Callable
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL import Image, ImageOps
 
 from cognitivedrone import types
 from cognitivedrone.errors import LabelError
-from cognitivedrone.files import read_regular, reason_of
-from cognitivedrone.pictures import MAX_PIXELS
+from cognitivedrone.pictures import read_picture
 
 SIDE = 256
 """Maximum length of the longer side of returned images, px."""
-MAX_FILE_BYTES = 20_000_000
 MAX_THINGS = 16
 """Maximum number of things on one panel."""
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
@@ -38,38 +34,9 @@ def frozen_array(image: Image.Image) -> types.Image:
 def read_image(path: Path) -> Image.Image:
     """RGB image of a PNG, JPEG or WebP file, transparency on white, scaled down to at most SIDE px a side.
 
-    Raises `LabelError` with the file's name if it is too large or not such an image.
+    Raises `LabelError` with the file's name, what it is and a way out if it is too large or not such an image.
     """
-    try:
-        content = read_regular(path, MAX_FILE_BYTES)
-    except OSError as error:
-        raise LabelError(f"label image {path} cannot be read: {reason_of(error)}") from None
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of odd metadata, and of sizes, for which the limit below is stricter
-            with Image.open(BytesIO(content), formats=("PNG", "JPEG", "WEBP")) as opened:
-                if opened.width * opened.height > MAX_PIXELS:
-                    raise LabelError(
-                        f"label image {path} has {opened.width}x{opened.height} pixels; "
-                        f"at most {MAX_PIXELS / 1e6:.0f} million are read"
-                    )
-                opened.draft("RGB", (2 * SIDE, 2 * SIDE))
-                image = ImageOps.exif_transpose(opened).convert("RGBA")
-            image.thumbnail((SIDE, SIDE), Image.Resampling.LANCZOS)
-    except LabelError:
-        raise
-    except UnidentifiedImageError:
-        raise LabelError(
-            f"label image {path} cannot be read as PNG, JPEG or WebP: it is none of them; save it as one, or remove it"
-        ) from None
-    except Exception as error:  # Pillow raises many kinds for broken files: its readers of EXIF alone five
-        what = " ".join(str(error).split())[:200] or type(error).__name__
-        raise LabelError(
-            f"label image {path} cannot be read as PNG, JPEG or WebP: {what}; save it again without metadata"
-        ) from None
-    white = Image.new("RGBA", image.size, "white")
-    white.alpha_composite(image)
-    return white.convert("RGB")
+    return read_picture(path, "label image", LabelError, SIDE)
 
 
 def parse_several(concept: str) -> list[tuple[str, int]]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import warnings
 from pathlib import Path
 
 from cognitivedrone.errors import LabelError
@@ -13,7 +15,8 @@ from cognitivedrone.labels.shipped import PACKS, ShippedPack, shipped_pack
 def load_pack(name_or_path: str | Path | None = None) -> ShippedPack | ExtendedPack | FolderPack:
     """The label pack of that name, or a folder of images `<kind>/<concept>.png`.
 
-    Where none is named, the newest shipped one, which draws what the earlier ones draw just as they do.
+    Where none is named, the newest shipped one, which draws what the earlier ones draw just as they do. A warning names
+    pictures of a folder that are not shown: of two files with one name, and of formats that are not read.
 
     Raises `LabelError` where there is neither.
     """
@@ -26,4 +29,8 @@ def load_pack(name_or_path: str | Path | None = None) -> ShippedPack | ExtendedP
     if not folder.is_dir():
         shipped = ", ".join((*PACKS, *EXTENDED_PACKS))
         raise LabelError(f"no label pack {name!r}: neither a folder of images nor a shipped pack ({shipped})")
-    return FolderPack(folder, extended_pack(EXTENDED_PACKS[-1]))
+    pack = FolderPack(folder, extended_pack(EXTENDED_PACKS[-1]))
+    if multiprocessing.parent_process() is None:  # once, not by every worker
+        for remark in pack.remarks:
+            warnings.warn(remark, stacklevel=1)  # of this line, so that each is shown once
+    return pack

@@ -12,8 +12,9 @@ import numpy as np
 
 from cognitivedrone.apps.scene import MADE, ChosenScene
 from cognitivedrone.errors import LabelError
-from cognitivedrone.files import replace_file, replacing
-from cognitivedrone.labels.images import SUFFIXES, read_image
+from cognitivedrone.files import replacing
+from cognitivedrone.labels.images import SIDE, SUFFIXES
+from cognitivedrone.pictures import OTHER_SUFFIXES, decode_picture
 from cognitivedrone.tasks.suites import drawn_task, suite_of_tasks
 from cognitivedrone.texts import folded
 from cognitivedrone.types import Task
@@ -22,7 +23,6 @@ KIND: Final = "mine"
 """Kind of the labels, and folder of the pictures."""
 PANELS: Final = 3
 _LONGEST: Final = 40
-_MAGIC: Final = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF")  # first bytes of PNG, JPEG and WebP
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class Picture:
 def spoken_name(spoken: str) -> str:
     """A name for a picture from what a user typed, or a file's name: letters, digits and blanks; may be empty."""
     stem = folded(spoken)
-    for suffix in (*SUFFIXES, ".gif", ".svg", ".bmp"):
+    for suffix in (*SUFFIXES, *OTHER_SUFFIXES, ".bmp"):
         stem = stem[: -len(suffix)] if stem.endswith(suffix) else stem
     words = re.sub(r"[\W_]+", " ", stem).split()
     return " ".join(words)[:_LONGEST].strip()
@@ -49,8 +49,7 @@ def keep_picture(folder: Path, name: str, content: bytes, slot: int, taken: Coll
 
     Raises `LabelError` if it is no PNG, JPEG or WebP, or too large.
     """
-    if not content.startswith(_MAGIC):
-        raise LabelError(f"{name[:60] or 'this file'!r} is not a PNG, JPEG or WebP picture; save it as one of these")
+    image = decode_picture(content, repr(name[:60] or "this file"), LabelError, SIDE)
     first = called = spoken_name(name) or f"picture {slot + 1}"
     number = 2
     while called in taken:  # telephones call every photograph "image"
@@ -58,11 +57,6 @@ def keep_picture(folder: Path, name: str, content: bytes, slot: int, taken: Coll
     place = _file(folder, called)
     place.parent.mkdir(parents=True, exist_ok=True)
     with replacing(place) as part:
-        replace_file(part, content)
-        try:
-            image = read_image(part)
-        except LabelError as error:
-            raise LabelError(str(error).replace(str(part), repr(called))) from None
         image.save(part, "PNG")
     return Picture(called, f"{KIND}/{place.stem}")
 

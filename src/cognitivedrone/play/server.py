@@ -24,7 +24,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from cognitivedrone.errors import CognitiveDroneError, ServerError
 from cognitivedrone.files import reason_of
 from cognitivedrone.json_text import parse_json
-from cognitivedrone.labels.images import MAX_FILE_BYTES
+from cognitivedrone.pictures import MAX_FILE_BYTES
 from cognitivedrone.play.access import Guarded
 from cognitivedrone.play.channels import Channels, Reader
 from cognitivedrone.play.config import PageSpec

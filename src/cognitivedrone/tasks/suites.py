@@ -15,6 +15,7 @@ from typing import Any, overload
 import numpy as np
 
 from cognitivedrone.errors import TaskError, did_you_mean
+from cognitivedrone.files import own_files
 from cognitivedrone.json_text import parse_json
 from cognitivedrone.printable import unprintable
 from cognitivedrone.tasks.directives import HOLD, write_directive
@@ -264,7 +265,7 @@ def suite_from_files(path: Path) -> Suite:
         raise TaskError(f"{path}: the name holds {problem}; give the file or folder another name")
     files = [path]
     if path.is_dir():
-        files = sorted(path.glob("*.json")) or sorted(p for p in path.rglob("*.json") if p.stem == p.parent.name)
+        files = own_files(path, "*.json") or [p for p in own_files(path, "**/*.json") if p.stem == p.parent.name]
         if not files:
             raise TaskError(f"{path}: holds no task file; put *.json task files there")
     tasks: dict[str, Task] = {}

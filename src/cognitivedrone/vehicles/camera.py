@@ -4,8 +4,8 @@
 
 | source | what it is |
 |---|---|
-| a folder | its images in the order of their names, at `rate_hz` |
-| a video file | at its own pace |
+| a folder | its images in the order of their names (2 before 10), at `rate_hz`, upright; hidden files are skipped |
+| a video file | at its own pace, turned as its metadata says |
 | `/dev/videoN` | a camera of this machine (Video4Linux) |
 | `rtsp://`, `rtsps://`, `http://`, `https://`, `udp://`, `tcp://`, `srt://` | a stream |
 
@@ -22,9 +22,10 @@ from __future__ import annotations
 import math
 import threading
 import time
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any, Literal, Protocol
 
 import av
@@ -32,13 +33,12 @@ import numpy as np
 from PIL import Image as Pictures
 
 from cognitivedrone.errors import CameraError
-from cognitivedrone.files import read_regular, reason_of
-from cognitivedrone.pictures import MAX_PICTURE_BYTES, MAX_PIXELS, open_picture
+from cognitivedrone.files import is_hidden, natural_order
+from cognitivedrone.pictures import MAX_PICTURE_BYTES, MAX_PIXELS, OTHER_SUFFIXES, read_picture
 from cognitivedrone.types import IMAGE_SIZE, Image
 
 STREAMS = ("rtsp://", "rtsps://", "http://", "https://", "udp://", "tcp://", "srt://")
 PICTURES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".webp"})
-FORMATS = ("PNG", "JPEG", "BMP", "WEBP")
 AtEnd = Literal["loop", "end"]
 _OF_DECODERS = {"max_pixels": str(MAX_PIXELS)}
 _LIMIT = f"at most {MAX_PIXELS / 1e6:.0f} million pixels are read"
@@ -149,9 +149,16 @@ class FolderCamera:
     """The images of a folder in order of name; the first on the first read, the rest on schedule."""
 
     def __init__(self, folder: Path, config: CameraConfig) -> None:
-        self._files = sorted(file for file in folder.iterdir() if file.suffix.lower() in PICTURES)
+        files = [file for file in folder.iterdir() if not is_hidden(PurePath(file.name))]
+        self._files = sorted(
+            (file for file in files if file.suffix.lower() in PICTURES), key=lambda file: natural_order(file.name)
+        )
+        others = sorted({file.suffix.lower() for file in files} & {*OTHER_SUFFIXES})
+        unread = f"those there ({', '.join(others)}) are not read, save them as PNG or JPEG" if others else ""
         if not self._files:
-            raise CameraError(f"{folder} has no image ({', '.join(sorted(PICTURES))})")
+            raise CameraError(f"{folder} has no image ({', '.join(sorted(PICTURES))}){unread and '; '}{unread}")
+        if unread:
+            warnings.warn(f"{folder} has pictures of other kinds: {unread}", stacklevel=2)
         self._config = config
         self._start: float | None = None
         self._shown: tuple[int, Image] = (0, _picture(self._files[0]))
@@ -245,7 +252,7 @@ class VideoCamera:
                         return
                     if frame.width * frame.height > MAX_PIXELS:
                         raise ValueError(f"its frame has {frame.width} x {frame.height} pixels; {_LIMIT}")
-                    yield fit(frame.to_ndarray(format="rgb24"))
+                    yield fit(upright(frame))
             if begin is None or self._config.at_end == "end":
                 return
 
@@ -257,12 +264,26 @@ class VideoCamera:
         return av.open(self._source, format=self._container, options=options, timeout=timeout)
 
 
-def _picture(file: Path) -> Image:
+def upright(frame: av.VideoFrame) -> Image:
+    """(H, W, 3) RGB of a frame, turned and mirrored as its display matrix says; telephones film lying on their side.
+
+    The matrix is FFmpeg's `display_matrix`: rows (a, b, u), (c, d, v), (x, y, w) as whole numbers; a point (p, q) of
+    the frame, p to the right and q down, is shown at (a p + c q, b p + d q).
+    """
+    image: Image = frame.to_ndarray(format="rgb24")
     try:
-        with open_picture(read_regular(file, MAX_PICTURE_BYTES), FORMATS) as picture:
-            return fit(np.asarray(picture.convert("RGB")))
-    except OSError as error:
-        raise CameraError(f"cannot read the image {file}: {reason_of(error)}") from None
-    except Exception as error:  # Pillow raises many kinds for broken files
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise CameraError(f"cannot read the image {file}: {reason}") from None
+        data = frame.side_data.get("DISPLAYMATRIX")
+    except (
+        ValueError
+    ):  # PyAV knows not all side data, such as EXIF (18.1): then only the rotation, in degrees, is known
+        return np.ascontiguousarray(np.rot90(image, round(getattr(frame, "rotation", 0) / 90)))
+    if data is None or data.buffer_size < 36:
+        return image
+    a, b, _, c, d, *_ = (int(each) for each in np.frombuffer(bytes(data)[:36], np.int32))
+    if abs(b) + abs(c) > abs(a) + abs(d):
+        image, a, d = image.transpose(1, 0, 2), c, b
+    return np.ascontiguousarray(image[:: -1 if d < 0 else 1, :: -1 if a < 0 else 1])
+
+
+def _picture(file: Path) -> Image:
+    return fit(np.asarray(read_picture(file, "the image", CameraError, max_bytes=MAX_PICTURE_BYTES)))

@@ -166,9 +166,12 @@ def brief(error: Exception) -> str:
 
 def _opened(data: bytes, where: str) -> PillowImage.Image:
     try:
-        return open_picture(data, ("JPEG", "PNG", "WEBP"), max_side=MAX_SIDE)
+        picture = open_picture(data, ("JPEG", "PNG", "WEBP"), max_side=MAX_SIDE)
     except ValueError as error:
         raise DataError(f"{where}: {error}") from None
+    if picture.mode.startswith("I"):  # 16 bits of grey, which would be white
+        raise DataError(f"{where}: has pixels of 16 bits; a frame has 8 bits a colour, so convert them")
+    return picture
 
 
 def read_json(path: Path) -> Any:

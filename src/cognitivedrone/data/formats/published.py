@@ -39,7 +39,7 @@ from cognitivedrone.data.formats.exchange import (
     write_json,
 )
 from cognitivedrone.errors import DataError, TaskError
-from cognitivedrone.files import create, read_regular, reason_of, safe_name
+from cognitivedrone.files import create, own_files, read_regular, reason_of, safe_name
 from cognitivedrone.frames import world_to_heading, wrap_angle, yaw_of
 from cognitivedrone.pictures import MAX_FRAME_BYTES
 from cognitivedrone.tasks import task_from_json, task_to_json
@@ -104,7 +104,7 @@ def read(path: Path, *, frame_lag: int = FRAME_LAG) -> Iterator[tuple[Split, Epi
 
     Raises `DataError` with the file and the row or frame that is missing or broken.
     """
-    setups = sorted(path.glob("*/*/setup.json")) or sorted(path.glob("*/setup.json"))
+    setups = own_files(path, "*/*/setup.json") or own_files(path, "*/setup.json")
     if not setups:
         raise DataError(f"{path}: no <Type>/<episode>/setup.json below it; is this a published data set?")
     for index, setup_path in enumerate(setups):

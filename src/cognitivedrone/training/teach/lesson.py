@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cognitivedrone.errors import LabelError, TrainingError
-from cognitivedrone.files import read_regular
+from cognitivedrone.files import own_files, read_regular
 from cognitivedrone.labels import load_pack
 from cognitivedrone.labels.folder import FolderPack
 from cognitivedrone.models.text import NUMBER_WORDS
@@ -233,4 +233,4 @@ def _shown(pack: FolderPack, tasks: tuple[Task, ...]) -> tuple[Task, ...]:
 def _task_files(tasks: Path | None) -> list[Path]:
     if tasks is None:
         return []
-    return sorted(tasks.glob("*.json")) if tasks.is_dir() else [tasks]
+    return own_files(tasks, "*.json") if tasks.is_dir() else [tasks]

@@ -22,8 +22,9 @@ from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
 from cognitivedrone.errors import GazeboError, did_you_mean
-from cognitivedrone.files import read_regular, reason_of, replace_file, safe_name
-from cognitivedrone.labels.images import MAX_FILE_BYTES, SUFFIXES, read_image
+from cognitivedrone.files import own_files, read_regular, reason_of, replace_file, safe_name
+from cognitivedrone.labels.images import SUFFIXES, read_image
+from cognitivedrone.pictures import MAX_FILE_BYTES
 from cognitivedrone.tasks.format import PUBLISHED_TYPES, read_json, task_from_json, write_tasks
 from cognitivedrone.texts import folded
 from cognitivedrone.types import CATEGORIES, Task
@@ -99,7 +100,7 @@ def _task_files(source: Path) -> list[Path]:
     """The task files beside a folder of models of the same name."""
     if not source.is_dir():
         raise GazeboError(f"{source} is not a folder; give that of the collector, or its model_for_data_collection")
-    files = [file for file in sorted(source.rglob("*.json")) if any(file.with_suffix("").rglob(f"*{MODEL}"))]
+    files = [file for file in own_files(source, "**/*.json") if any(file.with_suffix("").rglob(f"*{MODEL}"))]
     if not files:
         raise GazeboError(
             f"{source} holds no task file beside a folder of panels; expected such as"
@@ -148,7 +149,7 @@ def _picture(folder: Path, option: str, where: str) -> Path:
         raise GazeboError(f"{where}: option {option!r} leads out of {folder}; name a panel in it")
     stem = path.name.removesuffix(MODEL)
     there = folder / path.parent
-    beside = sorted(there.iterdir()) if there.is_dir() else []
+    beside = own_files(there, "*") if there.is_dir() else []
     models = {folded(file.stem): file for file in beside if file.suffix.lower() == MODEL}
     model = models.get(folded(stem)) or models.get(folded(f"{stem}{MODEL[1:]}"))
     named = "" if model is None else picture_of(model)

@@ -1,0 +1,234 @@
+"""A picture file of any depth, transparency, orientation and colour space as 8-bit RGB, as people see it in a viewer.
+
+| of the file | what is read |
+|---|---|
+| 16 bits, and 2 or 4 bits of grey | all levels, scaled to 8 bits: 65535 becomes 255 |
+| transparency: alpha, a palette's, or one transparent colour | laid on white |
+| orientation in EXIF or XMP | turned and mirrored upright |
+| colour space: ICC profile, gamma of PNG, CMYK, Lab | sRGB; what is sRGB within two levels stays as it is |
+| animation, several pictures | the first one |
+| metadata, also where it is broken | ignored |
+
+Pixels whose white is unknown (floating point) are refused.
+"""
+
+from __future__ import annotations
+
+import warnings
+from functools import lru_cache
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from PIL import Image, UnidentifiedImageError, features
+
+from cognitivedrone.errors import CognitiveDroneError
+from cognitivedrone.files import read_regular, reason_of
+from cognitivedrone.pictures.kinds import what_else
+from cognitivedrone.pictures.limits import MAX_PIXELS
+from cognitivedrone.pictures.metadata import without_metadata
+from cognitivedrone.printable import visible
+
+MAX_FILE_BYTES: Final = 20_000_000
+FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP")
+_SRGB_GAMMA: Final = 1 / 2.2
+_SAME_LEVELS: Final = 2
+"""A colour space counts as sRGB if no colour changes by more levels of 255."""
+_TURNS: Final = {
+    2: Image.Transpose.FLIP_LEFT_RIGHT,
+    3: Image.Transpose.ROTATE_180,
+    4: Image.Transpose.FLIP_TOP_BOTTOM,
+    5: Image.Transpose.TRANSPOSE,
+    6: Image.Transpose.ROTATE_270,
+    7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_90,
+}
+_SPACES: Final = {"GRAY": "L", "RGB": "RGB", "CMYK": "CMYK"}
+"""Colour spaces of ICC profiles, and Pillow's modes with their channels."""
+
+
+def read_picture(
+    path: Path,
+    what: str,
+    error: type[CognitiveDroneError],
+    longest: int | None = None,
+    max_bytes: int | None = None,
+) -> Image.Image:
+    """RGB image of a PNG, JPEG, WebP or BMP file, scaled down to at most `longest` px a side.
+
+    `what` names it in messages, as in "label image". Raises `error` with the file's name, what it is and a way out if
+    it is larger than `max_bytes` (`MAX_FILE_BYTES`) or `MAX_PIXELS`, or no such picture.
+    """
+    try:
+        content = read_regular(path, MAX_FILE_BYTES if max_bytes is None else max_bytes)
+    except OSError as refused:
+        raise error(f"{what} {path} cannot be read: {reason_of(refused)}") from None
+    return decode_picture(content, f"{what} {path}", error, longest)
+
+
+def decode_picture(
+    content: bytes, named: str, error: type[CognitiveDroneError], longest: int | None = None
+) -> Image.Image:
+    """As `read_picture`, of a file's content; `named` is how messages name the file."""
+    if other := what_else(content):
+        raise error(f"{named} cannot be read as PNG, JPEG or WebP: {other[0]}; {other[1]}")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of sizes, for which the limit below is stricter
+            kept, orientation = without_metadata(content)
+            with Image.open(BytesIO(kept), formats=FORMATS) as opened:
+                if opened.width * opened.height > MAX_PIXELS:
+                    raise error(
+                        f"{named} has {opened.width}x{opened.height} pixels; at most {MAX_PIXELS / 1e6:.0f} million are"
+                        " read; save it smaller"
+                    )
+                if longest is not None:
+                    opened.draft("RGB", (2 * longest, 2 * longest))
+                opened.load()
+                image = _seen(opened, kept)
+            if orientation in _TURNS:
+                image = image.transpose(_TURNS[orientation])
+            if longest is not None:
+                image.thumbnail((longest, longest), Image.Resampling.LANCZOS)
+    except error:
+        raise
+    except Image.DecompressionBombError:
+        raise error(f"{named} has far more than {MAX_PIXELS / 1e6:.0f} million pixels; save it smaller") from None
+    except UnidentifiedImageError:
+        raise error(f"{named} cannot be read as PNG, JPEG or WebP: it is damaged; copy or save it again") from None
+    except Exception as reason:  # Pillow raises many kinds for broken files
+        said = visible(" ".join(str(reason).split())[:200]) or type(reason).__name__
+        raise error(f"{named} cannot be read as PNG, JPEG or WebP: {said}; copy or save it again") from None
+    white = Image.new("RGBA", image.size, "white")
+    white.alpha_composite(image)
+    return white.convert("RGB")
+
+
+def _seen(opened: Image.Image, content: bytes) -> Image.Image:
+    """RGBA in sRGB, 8 bits, of a loaded image; `content` is its file. Raises `ValueError` if its white is unknown."""
+    colour, alpha = split_alpha(opened, _transparent_colour(opened, content))
+    if opened.format == "BMP" and alpha is not None and alpha.getextrema() == (0, 0):
+        alpha = None  # the fourth byte of each pixel is unused
+    if alpha is None and opened.mode == "RGB" and isinstance(opened.info.get("transparency"), tuple):
+        alpha = _rgb_alpha(opened, content)
+    image = _in_srgb(colour, opened.info)
+    image.putalpha(alpha or 255)
+    return image
+
+
+def split_alpha(image: Image.Image, transparent: int | None = None) -> tuple[Image.Image, Image.Image | None]:
+    """The colours as an 8-bit image of mode L, RGB or CMYK, and its opacity (mode L), none if all of it is opaque.
+
+    `transparent` is the level, of the image's own depth, that is transparent in a grey image. Whole numbers of mode
+    "I" are 16-bit levels. Raises `ValueError` for pixels whose white is unknown.
+    """
+    if image.mode == "I" or image.mode.startswith("I;16"):
+        levels = np.asarray(image).astype(np.int32)
+        if levels.min() < 0 or levels.max() > 0xFFFF:
+            raise ValueError(f"its grey levels are {levels.min()} to {levels.max()}, not 0 to 65535; scale them")
+        return _of((levels + 128) // 257), None if transparent is None else _opaque(levels != transparent)
+    if image.mode in ("1", "L"):
+        grey = image.convert("L")
+        return grey, None if transparent is None else _opaque(np.asarray(grey) != transparent)
+    if image.mode in ("LA", "La"):
+        grey, alpha = image.convert("LA").split()
+        return grey, alpha
+    if image.mode == "CMYK":
+        return image, None
+    if image.mode == "LAB":
+        from PIL import ImageCms
+
+        lab, srgb = ImageCms.createProfile("LAB"), ImageCms.createProfile("sRGB")
+        converted = ImageCms.profileToProfile(image, lab, srgb, outputMode="RGB")
+        assert converted is not None  # noqa: S101  (only in place there is none)
+        return converted, None
+    if image.mode in ("P", "PA", "RGBA", "RGBa"):
+        rgba = image.convert("RGBA")
+        return rgba.convert("RGB"), rgba.getchannel("A")
+    if image.mode in ("RGB", "RGBX", "YCbCr", "HSV"):
+        return (image if image.mode == "RGB" else image.convert("RGB")), None
+    raise ValueError(f"its pixels are of mode {image.mode}, whose white is unknown; scale them to 8 bits")
+
+
+def _of(levels: Any) -> Image.Image:
+    return Image.fromarray(np.asarray(levels, dtype=np.uint8))
+
+
+def _opaque(mask: Any) -> Image.Image:
+    return _of(np.where(mask, 255, 0))
+
+
+def _transparent_colour(opened: Image.Image, content: bytes) -> int | None:
+    """The transparent level of a grey PNG, in the levels that Pillow gives; it leaves that of 2 and 4 bits as is."""
+    level = opened.info.get("transparency")
+    if not isinstance(level, int) or (opened.mode not in ("1", "L", "I") and not opened.mode.startswith("I;16")):
+        return None
+    if opened.format != "PNG" or opened.mode == "1":
+        return 255 if opened.mode == "1" and level else level
+    most = (1 << content[24]) - 1
+    return (level & most) * 255 // most if opened.mode == "L" else level & most
+
+
+def _rgb_alpha(opened: Image.Image, content: bytes) -> Image.Image:
+    """The opacity of a PNG with one transparent colour; of 16 bits, Pillow keeps only the upper 8."""
+    key = np.array(opened.info["transparency"])
+    pixels = np.asarray(opened).astype(np.uint16)
+    if content[24] == 16:
+        with Image.open(BytesIO(content), formats=("PNG",)) as again:
+            # Read as if the bytes of each level were in the other order, the lower ones are kept.
+            again.tile = [_with_arguments(tile, "RGB;16L") for tile in again.tile]
+            pixels = (pixels << 8) + np.asarray(again)
+    return _opaque((pixels != key).any(axis=2))
+
+
+def _with_arguments(tile: Any, arguments: str) -> Any:
+    """One of Pillow's tiles with other arguments for its decoder; up to version 10, tiles are plain tuples."""
+    return tile._replace(args=arguments) if hasattr(tile, "_replace") else (*tile[:3], arguments)
+
+
+def _in_srgb(colour: Image.Image, info: dict[Any, Any]) -> Image.Image:
+    """RGB in sRGB, by the file's ICC profile or its gamma."""
+    profile = info.get("icc_profile")
+    if isinstance(profile, bytes) and (transform := _to_srgb(profile, colour.mode)) is not None:
+        from PIL import ImageCms
+
+        converted = ImageCms.applyTransform(colour, transform)
+        assert converted is not None  # noqa: S101  (only in place there is none)
+        return converted
+    rgb = colour.convert("RGB")
+    gamma = info.get("gamma")
+    if profile or "srgb" in info or not isinstance(gamma, float) or not 0.05 < gamma < 5:
+        return rgb if rgb is not colour else colour.copy()
+    levels = np.rint(255 * (np.arange(256) / 255) ** (_SRGB_GAMMA / gamma))
+    if np.abs(levels - np.arange(256)).max() <= _SAME_LEVELS:
+        return rgb
+    return rgb.point([int(level) for level in levels] * 3)
+
+
+@lru_cache(maxsize=8)
+def _to_srgb(profile: bytes, mode: str) -> Any:
+    """What turns colours of a mode into sRGB; none for a broken profile, one of other channels, and for sRGB."""
+    if not features.check("littlecms2"):
+        return None
+    from PIL import ImageCms
+
+    try:
+        opened = ImageCms.ImageCmsProfile(BytesIO(profile))
+        if _SPACES.get(opened.profile.xcolor_space.strip()) != mode:
+            return None
+        transform = ImageCms.buildTransform(opened, ImageCms.createProfile("sRGB"), mode, "RGB")
+        samples = _samples(mode)
+        after = np.asarray(ImageCms.applyTransform(samples, transform)).astype(int)
+    except (ImageCms.PyCMSError, OSError, ValueError, TypeError):
+        return None
+    return None if np.abs(after - np.asarray(samples.convert("RGB"))).max() <= _SAME_LEVELS else transform
+
+
+def _samples(mode: str) -> Image.Image:
+    """All levels of grey, or a grid of colours."""
+    if mode == "L":
+        return _of(np.arange(256)[None])
+    steps = np.linspace(0, 255, 9).astype(np.uint8)
+    grid = np.stack(np.meshgrid(*[steps] * len(mode)), axis=-1)
+    return Image.frombytes(mode, (1, grid.size // len(mode)), grid.tobytes())
