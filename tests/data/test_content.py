@@ -18,7 +18,7 @@ from PIL import Image as PillowImage
 
 from cognitivedrone.data.episode import Episode
 from cognitivedrone.data.layout import head_of, making_of, receipt_text
-from cognitivedrone.data.shards import FOOTER_KEY
+from cognitivedrone.data.shards import COMPRESSION, FOOTER_KEY
 from cognitivedrone.data.store import Store
 from cognitivedrone.data.verify import verify
 from cognitivedrone.errors import DataError
@@ -35,7 +35,8 @@ def forge(store: Path, change: Callable[[list[Columns], dict[str, Any]], object]
     columns = [{name: table[name].to_pylist() for name in table.column_names} for table in tables]
     change(columns, footer)
     fields = [pa.field(each.name, each.type) for each in schema if each.name != drop]
-    with pq.ParquetWriter(store / SHARD, pa.schema(fields)) as writer:
+    packed = {name: how for name, how in COMPRESSION.items() if name != drop}
+    with pq.ParquetWriter(store / SHARD, pa.schema(fields), compression=packed, use_dictionary=False) as writer:
         writer.add_key_value_metadata({FOOTER_KEY: json.dumps(footer)})
         for each in columns:
             arrays = [pa.array(each[field.name], field.type) for field in fields]

@@ -75,7 +75,7 @@ def huge() -> bytes:
 
 def test_a_huge_image_of_a_folder_is_refused_before_it_is_decoded(tmp_path, huge):
     (tmp_path / "1.jpg").write_bytes(huge)
-    with pytest.raises(CameraError, match=r"1\.jpg: it has 12000 x 12000 pixels; at most 40 million are read"):
+    with pytest.raises(CameraError, match=r"1\.jpg has 12000x12000 pixels; at most 40 million are read"):
         open_camera(str(tmp_path))
 
 
@@ -89,7 +89,7 @@ def test_what_is_no_image_file_in_a_folder_is_refused_at_once(tmp_path, spoil):
     else:
         with file.open("wb") as opened:
             opened.truncate(MAX_PICTURE_BYTES + 1)
-    with pytest.raises(CameraError, match=rf"1\.png: it (is a pipe|is a folder|has {MAX_PICTURE_BYTES + 1:,} bytes)"):
+    with pytest.raises(CameraError, match=rf"1\.png cannot be read: it (is a pipe|is a folder|has {MAX_PICTURE_BYTES + 1:,} bytes)"):
         open_camera(str(tmp_path))
 
 
