@@ -333,7 +333,6 @@ def test_a_progress_bar_fits_into_80_columns_from_its_first_moment():
     [
         (KeyError("lengths"), "KeyError: 'lengths'"),
         (RecursionError("maximum recursion depth exceeded"), "RecursionError: maximum"),
-        (MemoryError(), "MemoryError"),
         (ValueError("one\ntwo \x1b[31m rtsp://me:secret@camera/"), "ValueError: one two"),
         (ImportError("initialization failed"), "ImportError: initialization failed"),
     ],

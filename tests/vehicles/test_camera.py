@@ -89,7 +89,9 @@ def test_what_is_no_image_file_in_a_folder_is_refused_at_once(tmp_path, spoil):
     else:
         with file.open("wb") as opened:
             opened.truncate(MAX_PICTURE_BYTES + 1)
-    with pytest.raises(CameraError, match=rf"1\.png cannot be read: it (is a pipe|is a folder|has {MAX_PICTURE_BYTES + 1:,} bytes)"):
+    with pytest.raises(
+        CameraError, match=rf"1\.png cannot be read: it (is a pipe|is a folder|has {MAX_PICTURE_BYTES + 1:,} bytes)"
+    ):
         open_camera(str(tmp_path))
 
 

@@ -112,7 +112,7 @@ def _download(
         raise
     done = Transfer(name, kind, commit, endpoint, len(listed), sum(listed.values()))
     with writing(folder, HubError):
-        (folder / LOCK_FILE).unlink(missing_ok=True)
+        remove(folder, LOCK_FILE)
         part.replace(folder)
         record = json.dumps(asdict(done), indent=2) + "\n"
         replace_file(folder.with_name(f"{folder.name}.hub.json"), record.encode())

@@ -210,10 +210,9 @@ def read_records(path: Path, facts: RunFacts | None = None) -> dict[int, Record]
     Raises `RunError` for records of another run than that of these facts; by default, those of the folder's run.json.
     """
     file = path / EPISODES_FILE
-    digest = digest_of_run(_facts_in(path) if facts is None else facts)
     try:
         with open_regular(file, MAX_EPISODES_BYTES) as stream:
-            return _read(stream, file, digest)[0]
+            return _read(stream, file, digest_of_run(_facts_in(path) if facts is None else facts))[0]
     except OSError as error:
         raise RunError(f"{file} cannot be read: {reason_of(error)}; give the --out folder of a run") from None
 
@@ -282,7 +281,7 @@ def _lock(path: Path) -> BinaryIO:
     except BaseException:
         file.close()
         if created:
-            path.unlink(missing_ok=True)
+            remove(path.parent, path.name)
         raise
     if not free:
         file.close()

@@ -17,7 +17,7 @@ from cognitivedrone.data.episode import Conditions, Encoding, Episode, Split
 from cognitivedrone.data.pages import check_pages
 from cognitivedrone.data.shards import unpacked_bytes
 from cognitivedrone.errors import DataError, TaskError
-from cognitivedrone.files import check_regular, create, read_regular, reason_of, replacing_folder
+from cognitivedrone.files import check_regular, create, read_regular, reason_of, remove, replacing_folder
 from cognitivedrone.json_text import parse_json
 from cognitivedrone.locks import LOCK_FILE, holds_files, sole_writer
 from cognitivedrone.pictures import MAX_SIDE, open_picture
@@ -58,7 +58,7 @@ def _filled(out: Path) -> Iterator[Path]:
     try:
         with replacing_folder(out) as partial:
             yield partial
-            (out / LOCK_FILE).unlink(missing_ok=True)
+            remove(out, LOCK_FILE)
     except OSError as error:
         place = str(error.filename or out).replace(str(partial), str(out))
         raise DataError(f"{place}: cannot be written ({reason_of(error)}); nothing was left at {out}") from error

@@ -52,7 +52,7 @@ from cognitivedrone.data.formats.lerobot_stats import Statistics
 from cognitivedrone.data.formats.lerobot_video import VideoWriter, read_frames
 from cognitivedrone.data.shards import ShardFile, write_shard_file
 from cognitivedrone.errors import DataError
-from cognitivedrone.files import remove
+from cognitivedrone.files import remove, replace_file
 from cognitivedrone.json_text import parse_json
 from cognitivedrone.types import CONTROL_HZ
 
@@ -189,7 +189,7 @@ class _Writer:
         pq.write_table(_task_table(list(self._tasks)), self._folder / "meta/tasks.parquet")
         write_json(self._folder / "meta/stats.json", self._statistics.total())
         write_json(self._folder / "meta/info.json", self._info())
-        (self._folder / CARD_PATH).write_text(card(self._files), "utf-8")
+        replace_file(self._folder / CARD_PATH, card(self._files).encode())
 
     def _file(self, split: Split) -> pq.ParquetWriter:
         """The current data file: the open one, or a new one if that is large enough, or of another split."""
