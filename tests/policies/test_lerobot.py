@@ -30,6 +30,7 @@ def folder_of(path, config):
     path.mkdir(exist_ok=True)
     for name in FILES:
         (path / name).write_text(json.dumps(config) if name == "config.json" else "{}")
+    (path / WEIGHTS).write_bytes((2).to_bytes(8, "little") + b"{}")  # safetensors of no tensor
     return path
 
 
@@ -41,6 +42,13 @@ def test_its_features_are_those_of_our_export():
 
 def test_its_weights_are_part_of_a_runs_identity(tmp_path):
     assert model_file(f"lerobot:{folder_of(tmp_path, CONFIG)}") == tmp_path / WEIGHTS
+
+
+def test_weights_are_looked_at_before_a_run_hashes_them(tmp_path):
+    with (folder_of(tmp_path, CONFIG) / WEIGHTS).open("wb") as file:
+        file.truncate(2**40)  # sparse
+    with pytest.raises(ModelError, match="is not a safetensors file"):
+        model_file(f"lerobot:{tmp_path}")
 
 
 def test_a_folder_that_is_no_checkpoint_is_refused(tmp_path):
