@@ -22,6 +22,7 @@ from cognitivedrone.errors import (
     NonFiniteAction,
     PolicyError,
     ReasonerError,
+    ReasonerFault,
     ServerError,
 )
 from cognitivedrone.json_text import parse_json
@@ -204,7 +205,7 @@ def raise_error(frame: str, where: str) -> None:
         last = (frame.strip().splitlines() or ["an empty text"])[-1]
         raise ServerError(f"the policy server at {where} failed: {last[:300]}") from None
     if code == "no_answer":
-        raise ReasonerError(fault or "raised", message, certainty=_share(error.get("certainty")))
+        raise ReasonerError(cast(ReasonerFault, fault or "raised"), message, certainty=_share(error.get("certainty")))
     if code in _RAISED:
         raise _RAISED[code](message)
     raise ServerError(f"the policy server at {where} refused the message ({code}): {message[:300]}")
