@@ -98,7 +98,7 @@ def _manifest(root: Path, sums: Mapping[str, str] | None, hash_of: _Hashes) -> d
     if hash_of(MANIFEST) is None:
         return Problem(MANIFEST, "is missing")
     try:
-        manifest = read_json(root / MANIFEST)
+        manifest: Any = read_json(root / MANIFEST)
     except DataError:
         return Problem(MANIFEST, "is damaged: it is not JSON")
     if isinstance(manifest, dict) and manifest.get("complete") is False:
@@ -112,8 +112,7 @@ def _manifest(root: Path, sums: Mapping[str, str] | None, hash_of: _Hashes) -> d
         check_manifest(manifest, "is damaged")
     except DataError as error:
         return Problem(MANIFEST, str(error))
-    checked: dict[str, Any] = manifest
-    return checked
+    return dict(manifest)
 
 
 def _shard_problems(root: Path, manifest: dict[str, Any], hash_of: _Hashes) -> Iterator[Problem]:

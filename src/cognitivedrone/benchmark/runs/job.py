@@ -63,11 +63,11 @@ def resolve(plan: Plan, *, named: bool = True) -> Job:
     own = {"policy_code": own_module(policy, POLICIES), "reasoner_code": own_module(reasoner, REASONERS)}
     optional = {"reasoner_model": answers, **(own if named else {}), "autopilot": autopilot}
     options |= {key: digest_of_file(file) for key, file in optional.items() if file is not None}
-    shown = plan.pilot.shown
+    recorded = plan.pilot.shown
     facts = RunFacts(
         suite=SuiteFacts(suite.name, suite.digest, suite.n_tasks),
-        policy=shown.policy,
-        reasoner=shown.reasoner,
+        policy=recorded.policy,
+        reasoner=recorded.reasoner,
         options={key: options[key] for key in (*REQUIRED, *options)},  # keeps the order of existing files
         versions=versions(),
     )
