@@ -7,16 +7,12 @@ import resource
 from typing import Final
 
 _FEW_FILES: Final = 64
-_SHORT: Final = (
+_MEMORY: Final = r"memoryerror|cannot allocate memory|failed to map segment|bad_alloc|out of memory|\[errno 12\]"
+_PROCESSES: Final = r"can't start new thread|resource temporarily unavailable|blockingioerror|\[errno 11\]"
+_SHORT: Final[tuple[tuple[str, str, str, int, int], ...]] = (
     (r"too many open files|\[errno 2[34]\]", "open files", "-n", resource.RLIMIT_NOFILE, 1),
-    (
-        r"memoryerror|cannot allocate memory|failed to map segment|bad_alloc|out of memory|\[errno 12\]",
-        *("KB of memory", "-v", resource.RLIMIT_AS, 1024),
-    ),
-    (
-        r"can't start new thread|resource temporarily unavailable|blockingioerror|\[errno 11\]",
-        *("processes and threads", "-u", resource.RLIMIT_NPROC, 1),
-    ),
+    (_MEMORY, "KB of memory", "-v", resource.RLIMIT_AS, 1024),
+    (_PROCESSES, "processes and threads", "-u", resource.RLIMIT_NPROC, 1),
 )
 """How errors of many kinds say it, what it is, the shell's option, the limit and its unit."""
 

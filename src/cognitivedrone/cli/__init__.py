@@ -31,6 +31,8 @@ from cognitivedrone.shortages import way_out_of
 from cognitivedrone.usage_reports import switch_off
 
 PROGRAM = "cognitivedrone"
+Ending = Callable[[], AbstractContextManager[None]]
+"""Makes the context in which signals end a command."""
 COMMANDS: dict[str, dict[str, tuple[str, str]]] = {
     "score policies": {
         "bench": ("scoring:bench", "fly a policy through a suite of tasks and score it"),
@@ -98,7 +100,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         os.environ.setdefault(SAFE_PATH, "1")
     try:
         # In a process of somebody else's, the signals are not ours.
-        _run(*((sys.argv[1:], ending_in_order) if arguments is None else (list(arguments), contextlib.nullcontext)))
+        ending: Ending = ending_in_order if arguments is None else contextlib.nullcontext
+        _run(list(sys.argv[1:] if arguments is None else arguments), ending)
         sys.stdout.flush()  # a full disk behind it shows up here, not after the last line
     except CognitiveDroneError as error:
         if isinstance(error, MissingExtra) and _was_stopped(error):
@@ -145,7 +148,7 @@ def _was_stopped(error: BaseException) -> bool:
     return was_asked() or any(isinstance(cause, KeyboardInterrupt) for cause in causes)
 
 
-def _run(arguments: list[str], ending: Callable[[], AbstractContextManager[None]]) -> None:
+def _run(arguments: list[str], ending: Ending) -> None:
     """Run a command; `ending` makes the context in which signals end it."""
     if not arguments or arguments[0] in ("-h", "--help"):
         print(help_text())  # noqa: T201
@@ -167,7 +170,7 @@ def _run(arguments: list[str], ending: Callable[[], AbstractContextManager[None]
     tyro.cli(_checked(command, ending), prog=f"{PROGRAM} {name}", args=words)
 
 
-def _checked(command: Callable[..., None], ending: Callable[[], AbstractContextManager[None]]) -> Callable[..., None]:
+def _checked(command: Callable[..., None], ending: Ending) -> Callable[..., None]:
     """The command, which begins once its arguments are in their ranges."""
 
     @functools.wraps(command)
