@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Literal
 
-AppearanceName = Literal["plain", "varied"]
-"""`plain`: the room as published. `varied`: floor, walls, light, colours and camera noise drawn from the seed."""
+AppearanceName = Literal["plain", "varied", "photo"]
+"""`plain`: the room as published. `varied`: floor, walls, light, colours and camera noise drawn from the seed. `photo`:
+a place, with its light, and a camera drawn from the seed."""
 
 ReasonerFault = Literal[
     "unreachable",

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_type_hints
 
 from cognitivedrone.choices import AppearanceName as AppearanceName
-from cognitivedrone.errors import LinkError, UnknownOption, did_you_mean
+from cognitivedrone.errors import AppearanceError, LinkError, UnknownOption, did_you_mean
 from cognitivedrone.printable import shown_address
 from cognitivedrone.ranges import WIND, Range, Seed, check_arguments
 
@@ -175,11 +175,21 @@ class Scenario(TaskSource):
     track: bool = _option(False, identity="track")
     """Chain single tasks into tracks of five, flown without a stop."""
     appearance: AppearanceName = _option("plain", identity="appearance")
-    """How the room looks: plain, as published, or varied from episode to episode."""
+    """How the room looks: plain, as published; varied from episode to episode; or photo: photographed places."""
+    place: str = _option("", identity="place", written="where set")
+    """Where to fly: training or kept (one of those places, from episode to episode), a name of `cognitivedrone list`,
+    or a panorama of your own, twice as wide as high. Without it, photo means training."""
     airframe: str = _option("racer", identity="airframe")
     """The drone that flies."""
     wind: Annotated[float, WIND] = _option(0.0, identity="wind_m_s")
     """Speed of a steady wind, m/s; every episode draws its direction."""
+
+    def check(self) -> None:
+        """Raise `AppearanceError` for a place in a room without places. A place alone asks for photo."""
+        if self.place and self.appearance == "varied":
+            raise AppearanceError(f"--place {self.place} is photographed; leave out --appearance varied")
+        if self.place and self.appearance == "plain":
+            object.__setattr__(self, "appearance", "photo")
 
 
 @dataclass(frozen=True, slots=True)

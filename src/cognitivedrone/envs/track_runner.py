@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 
@@ -19,10 +20,10 @@ from cognitivedrone.sim.drone_world import DroneWorld, Scenery, Start
 from cognitivedrone.sim.gate_monitor import GateEvent
 from cognitivedrone.tasks.missions import forbidden_colors
 from cognitivedrone.types import CONTROL_HZ, GroundTruth, Outcome, Stage, StageResult, Task, Track
-from cognitivedrone.world import geometry
-from cognitivedrone.world.appearance import PLAIN, Appearance, varied_appearance
+from cognitivedrone.world import geometry, places
+from cognitivedrone.world.appearance import PLAIN, Appearance, photo_appearance, varied_appearance
 
-APPEARANCES = ("plain", "varied")
+APPEARANCES: tuple[AppearanceName, ...] = get_args(AppearanceName)
 DECLINED_S = 3.0
 """A stage ends once the pilot has declined for this long without interruption, s."""
 FORBIDDEN_M = 1.0
@@ -36,22 +37,33 @@ class TrackConfig:
     """The conditions of a flight. Raises `SimulationError` if they cannot be simulated."""
 
     appearance: AppearanceName = "plain"
-    """`plain` as published, or `varied`: floor, walls, light, colours and camera noise drawn from the seed."""
+    """`plain` as published, `varied`: floor, walls, light, colours and camera noise drawn from the seed, or `photo`: a
+    place of `places`, with its light, and a camera drawn from the seed."""
     time_limit_s: float = 30.0
     """Time limit for each stage."""
     wind_m_s: float = 0.0
     """Speed of a steady wind; the seed draws its direction."""
+    place: str = "training"
+    """With `photo`: a set of places, a place's name, or a panorama's file (`world.places`)."""
 
     @classmethod
     def of(cls, scenario: Scenario, time_limit_s: float = 30.0) -> TrackConfig:
         """The conditions of a scenario."""
-        return cls(scenario.appearance, time_limit_s, scenario.wind)
+        return cls(scenario.appearance, time_limit_s, scenario.wind, scenario.place or "training")
+
+    def draw(self, rng: np.random.Generator) -> Appearance:
+        """The appearance of an episode."""
+        if self.appearance == "varied":
+            return varied_appearance(rng)
+        return photo_appearance(rng, places.choices(self.place)) if self.appearance == "photo" else PLAIN
 
     def __post_init__(self) -> None:
         if self.appearance not in APPEARANCES:
             raise AppearanceError(
                 f"unknown appearance {self.appearance!r}; {did_you_mean(str(self.appearance), APPEARANCES)}"
             )
+        if self.appearance == "photo":
+            places.choices(self.place)
         if not self.time_limit_s > 0:
             raise SimulationError(f"time_limit_s is {self.time_limit_s}; it is a time in seconds, more than 0")
 
@@ -128,8 +140,7 @@ class TrackRunner:
         self.track = track
         self.results = []
         self.stages = [stage_of(track[0])]
-        drawn = appearance is None and self.config.appearance == "varied"
-        self.appearance = varied_appearance(rng) if drawn else appearance or PLAIN
+        self.appearance = appearance or self.config.draw(rng)
         self.start = start or draw_start(rng, self.world.hull_radius, self.config.wind_m_s)
         scenery = scenery_of(self.stages[0], self.labels, self.appearance)
         self.world.begin(self.stages[0], scenery, self.start)

@@ -61,7 +61,8 @@ class CognitiveDrone(StepBenchmark):
         labels: folder of label images that take precedence over the shipped ones.
         seed: seed of start, appearance and wind, as of `cognitivedrone bench --seed`.
         track: chain single tasks into tracks of five.
-        appearance: "plain" or "varied".
+        appearance: "plain", "varied" or "photo".
+        place: with "photo", "training", "kept", a place's name or a panorama's file.
         airframe: "racer" or "iris".
         wind: speed of a steady wind, m/s.
         time_limit_s: seconds for each stage.
@@ -79,6 +80,7 @@ class CognitiveDrone(StepBenchmark):
         seed: int = 0,
         track: bool = False,
         appearance: str = "plain",
+        place: str = "",
         airframe: str = "racer",
         wind: float = 0.0,
         time_limit_s: float = 30.0,
@@ -93,6 +95,7 @@ class CognitiveDrone(StepBenchmark):
             seed=seed,
             track=track,
             appearance=appearance,
+            place=place,
             airframe=airframe,
             wind=wind,
         )

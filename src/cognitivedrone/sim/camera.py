@@ -21,10 +21,10 @@ from PIL import Image as PillowImage
 from cognitivedrone.errors import RenderError
 from cognitivedrone.frames import rotation_matrix
 from cognitivedrone.sim.gl import GLThread
-from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT, View, top_view
+from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT, View, focal_length, top_view
 from cognitivedrone.types import IMAGE_SIZE, DroneState, Image, Images, Stage, Vector, Vectors
 from cognitivedrone.world.appearance import PLAIN, Appearance, expose
-from cognitivedrone.world.assets import BOARD, MAX_SLOTS, build_assets, write_picture
+from cognitivedrone.world.assets import BOARD, MAX_SLOTS, build_assets, write_picture, write_place
 from cognitivedrone.world.engine import mujoco
 from cognitivedrone.world.scene import add_drone, fill_scene, new_scene
 
@@ -87,11 +87,13 @@ class Cameras:
         quaternions: ArrayLike,
         out: Images | None = None,
         slots: Sequence[int] | None = None,
+        yaw_rates: ArrayLike | None = None,
     ) -> Images:
         """First-person images (n, size, size, 3) uint8 of drones at `positions` (n, 3) world m, attitudes (n, 4) wxyz.
 
         Image i shows the world of `slots[i]`, or of slot i without `slots`. A slot may occur several times.
-        The result is written into `out` if given.
+        The result is written into `out` if given. `yaw_rates` (n,) rad/s blur the pictures of appearances with an
+        exposure.
         """
         position = np.asarray(positions, dtype=np.float64)
         axes = rotation_matrix(np.asarray(quaternions, dtype=np.float64))
@@ -109,12 +111,14 @@ class Cameras:
             raise ValueError(f"out must be uint8 {shape}, not {out.dtype} {out.shape}")
         forward, up = axes[..., 0], axes[..., 2]
         eye = position + MOUNT[0] * forward + MOUNT[1] * axes[..., 1] + MOUNT[2] * up
+        rates = np.zeros(count) if yaw_rates is None else np.asarray(yaw_rates, dtype=np.float64)
+        blur = np.abs(rates) * focal_length(self.size, FIELD_OF_VIEW)
         jobs: list[list[tuple[int, int]]] = [[] for _ in self._threads]
         for index, slot in enumerate(shown):
             self._check(slot)
             jobs[slot % len(jobs)].append((index, slot // len(jobs)))
         pending = [
-            thread.call(partial(renderer.first_person, job, eye, forward, up, out))
+            thread.call(partial(renderer.first_person, job, eye, forward, up, out, blur))
             for thread, renderer, job in zip(self._threads, self._renderers, jobs, strict=True)
             if job
         ]
@@ -156,6 +160,7 @@ class _Renderer:
         self._scenes = [new_scene(self._assets) for _ in range(slots)]
         self._stages: list[Stage | None] = [None] * slots
         self._looks: list[Appearance] = [PLAIN] * slots
+        self._places: set[str] = set()
         self._pixels = np.empty((size, size, 3), np.uint8)
         self._viewport = mujoco.MjrRect(0, 0, size, size)
 
@@ -177,6 +182,7 @@ class _Renderer:
         for picture, image in pictures.items():
             texture = write_picture(self._assets, slot, picture, image)
             mujoco.mjr_uploadTexture(self._assets.model, self._context, texture)
+        self._upload_place(appearance.place)
         aspects = [_aspect(image) for image in images]
         fill_scene(
             self._scenes[slot],
@@ -190,8 +196,20 @@ class _Renderer:
         _set_lens(self._scenes[slot], FIELD_OF_VIEW)
         self._stages[slot], self._looks[slot] = stage, appearance
 
+    def _upload_place(self, place: str) -> None:
+        """Have the panorama of a place in its texture; those of a user's own share one."""
+        if not place or place in self._places:
+            return
+        if place not in self._assets.places:
+            own = {look.place for look in self._looks} - {"", *self._assets.places}
+            if own:
+                raise RenderError(f"only one place of your own is drawn at a time: {min(own)} and {place} are two")
+            self._places -= {name for name in self._places if name not in self._assets.places}
+        mujoco.mjr_uploadTexture(self._assets.model, self._context, write_place(self._assets, place))
+        self._places.add(place)
+
     def first_person(
-        self, job: list[tuple[int, int]], eye: Vectors, forward: Vectors, up: Vectors, out: Images
+        self, job: list[tuple[int, int]], eye: Vectors, forward: Vectors, up: Vectors, out: Images, blur: Vector
     ) -> None:
         """Render (index, slot) pairs of `job` into `out[index]`."""
         for index, slot in job:
@@ -201,7 +219,7 @@ class _Renderer:
             self._draw(scene, self._viewport, self._pixels)
             out[index] = self._pixels[::-1]
             pose = np.concatenate([eye[index], forward[index], up[index]])
-            expose(out[index], appearance, zlib.crc32(pose.tobytes()))
+            expose(out[index], appearance, zlib.crc32(pose.tobytes()), appearance.exposure_s * blur[index])
 
     def overlook(self, slot: int, state: DroneState, scale: float, size: tuple[int, int], view: View) -> Image:
         """A third-person view, including the drone: (h, w, 3)."""

@@ -22,7 +22,7 @@ from cognitivedrone.sim.drone_world import Scenery
 from cognitivedrone.sim.gl import GLThread
 from cognitivedrone.sim.views import View
 from cognitivedrone.types import COLORS, FloatArray, Image, Quaternion, Stage, Vector
-from cognitivedrone.world import assets, geometry
+from cognitivedrone.world import assets, geometry, places
 from cognitivedrone.world.appearance import Appearance
 from cognitivedrone.world.engine import mujoco
 from cognitivedrone.world.scene import OBSTACLE_COLORS
@@ -41,6 +41,7 @@ _EXTENT_M: Final = 10.0  # MuJoCo's unit of length of a scene
 _FLOOR_SCALE: Final = 3.0  # of the policy's floor, which ends in sight
 _SUN: Final = (0.95, -0.25, -1.0)  # direction of the light
 _SHADOW: Final = (0.10, 0.12, 0.18, 0.42)
+_ALL_GLOW: Final = 1.0  # emission, as a share of the colour
 _SHADOWLESS: Final = 1  # group of geoms that cast no shadow: too small, or not solid
 _SHADOW_M: Final = 0.004  # above the floor
 _TO_FLOOR: Final = np.array([[1.0, 0.0, -_SUN[0] / _SUN[2]], [0.0, 1.0, -_SUN[1] / _SUN[2]], [0.0, 0.0, 1e-4]])
@@ -233,17 +234,10 @@ def _model(stage: Stage, scenery: Scenery, size: tuple[int, int], airframe: Airf
     visual.headlight.specular = [0.0] * 3
     visual.map.znear, visual.map.zfar = 0.005, 20.0
     spec.stat.extent, spec.stat.center = _EXTENT_M, [0.0, 0.0, 1.0]
-    sky = spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=256, height=1536)
-    nadir = 2 * np.array(_HORIZON) - _ZENITH  # the horizon is in the middle
-    sky.builtin, sky.rgb1, sky.rgb2 = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, _ZENITH, np.minimum(nadir, 1.0)
-    tiles = spec.add_texture(name="tiles", type=mujoco.mjtTexture.mjTEXTURE_2D, width=512, height=512)
-    tiles.builtin, tiles.mark = mujoco.mjtBuiltin.mjBUILTIN_CHECKER, mujoco.mjtMark.mjMARK_EDGE
-    tiles.rgb1, tiles.rgb2, tiles.markrgb = _FLOOR, tuple(0.97 * part for part in _FLOOR), _GROUT
-    ground = spec.add_material(name="ground", texrepeat=[1.5 * _FLOOR_SCALE] * 2, specular=0.0)
-    ground.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
-    # A mesh: MuJoCo's planes take ten times as long to draw on a CPU.
-    assets.add_mesh(spec, "floor", *assets.floor_mesh()).scale = [_FLOOR_SCALE] * 3
-    _add_placed(spec, "floor", "ground", np.array([*stage.origin, 0.0]), 0.0, group=_SHADOWLESS)
+    if scenery.appearance.place:
+        _add_place(spec, stage, scenery.appearance)
+    else:
+        _add_floor_and_sky(spec, stage)
     spec.worldbody.add_light(
         name="sun",
         type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
@@ -256,6 +250,34 @@ def _model(stage: Stage, scenery: Scenery, size: tuple[int, int], airframe: Airf
     _add_stage(spec, stage, scenery)
     _add_drone(spec, airframe)
     return spec.compile()
+
+
+def _add_place(spec: Any, stage: Stage, appearance: Appearance) -> None:
+    """The place around the stage, where the policy's scene has it."""
+    pixels = places.load_place(appearance.place).pixels
+    texture = assets.add_texture(spec, "place", pixels.shape[1], pixels.shape[0])
+    texture.data = pixels.tobytes()
+    material = spec.material("place")
+    material.rgba = [*(appearance.place_brightness,) * 3, 1.0]
+    material.emission, material.specular = _ALL_GLOW, 0.0
+    assets.add_mesh(spec, "place", *places.mesh())
+    _add_placed(
+        spec, "place", "place", np.array([*stage.origin, 0.0]), stage.yaw + appearance.place_turn, group=_SHADOWLESS
+    )
+
+
+def _add_floor_and_sky(spec: Any, stage: Stage) -> None:
+    sky = spec.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=256, height=1536)
+    nadir = 2 * np.array(_HORIZON) - _ZENITH  # the horizon is in the middle
+    sky.builtin, sky.rgb1, sky.rgb2 = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, _ZENITH, np.minimum(nadir, 1.0)
+    tiles = spec.add_texture(name="tiles", type=mujoco.mjtTexture.mjTEXTURE_2D, width=512, height=512)
+    tiles.builtin, tiles.mark = mujoco.mjtBuiltin.mjBUILTIN_CHECKER, mujoco.mjtMark.mjMARK_EDGE
+    tiles.rgb1, tiles.rgb2, tiles.markrgb = _FLOOR, tuple(0.97 * part for part in _FLOOR), _GROUT
+    ground = spec.add_material(name="ground", texrepeat=[1.5 * _FLOOR_SCALE] * 2, specular=0.0)
+    ground.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
+    # A mesh: MuJoCo's planes take ten times as long to draw on a CPU.
+    assets.add_mesh(spec, "floor", *assets.floor_mesh()).scale = [_FLOOR_SCALE] * 3
+    _add_placed(spec, "floor", "ground", np.array([*stage.origin, 0.0]), 0.0, group=_SHADOWLESS)
 
 
 def _add_stage(spec: Any, stage: Stage, scenery: Scenery) -> None:

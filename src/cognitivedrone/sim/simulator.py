@@ -72,10 +72,12 @@ class Simulator:
         """First-person views (n, size, size, 3) of all worlds, or of some."""
         if self.cameras is None:
             raise ValueError("this simulator was made without cameras")
+        flight = self.flight
         if worlds is None:
-            return self.cameras.first_person(self.flight.position, self.flight.quaternion, out, None)
+            return self.cameras.first_person(flight.position, flight.quaternion, out, None, flight.body_rates[:, 2])
         chosen = list(worlds)
-        return self.cameras.first_person(self.flight.position[chosen], self.flight.quaternion[chosen], out, chosen)
+        position, quaternion, rates = flight.position[chosen], flight.quaternion[chosen], flight.body_rates[chosen]
+        return self.cameras.first_person(position, quaternion, out, chosen, rates[:, 2])
 
     def gate_monitor(self, world: int) -> GateMonitor:
         """The gate monitor of the current stage."""

@@ -50,6 +50,8 @@ HARD_SHARES: dict[str, int] = {
 MEMORY_TRACKS: tuple[int, ...] = (3, 4, 4, 4, 5)
 """Numbers of stages of the memory tracks."""
 STAGES_A_TRACK = 5
+HARD_IN_PLACES = 8
+"""Tasks of each harder family in `places`; every third task of the suite has another layout."""
 LOOKS_ASKED = 20
 """Tasks of `absent` that name a gate by its looks; the other 180 are of the ten base families in equal numbers."""
 RACES = 20
@@ -116,10 +118,15 @@ def _choices(name: str, rng: np.random.Generator, dealer: Dealer) -> list[list[T
     pools = HELD_OUT if name == "unseen" else TRAIN
     if name == "hard":
         shares = {family: count for family, count in HARD_SHARES.items() if family != "memory"}
+    elif name == "places":
+        harder = [family for family in HARD_SHARES if family != "memory"]
+        shares = equal_shares(200 - len(harder) * HARD_IN_PLACES) | dict.fromkeys(harder, HARD_IN_PLACES)
     else:
         sizes = {"test": 300, "unseen": 150, "smoke": 30, "track": 100, "layouts": 300, "clutter": 200}
         shares = equal_shares(sizes[name])
     tasks = [task for family, count in shares.items() for task in _family(rng, dealer, pools, family, count)]
+    if name == "places":
+        tasks = [_laid_out(rng, task) if number % 3 == 0 else task for number, task in enumerate(tasks)]
     if name == "layouts":
         tasks = [_laid_out(rng, task) for task in tasks]
     if name == "clutter":

@@ -31,6 +31,7 @@ BUILT: tuple[str, ...] = (
     *(f"open-v2:{name}" for name in ("test", "layouts", "absent")),
     "open-v3:missions",
     "open-v3:clutter",
+    "open-v3:places",
 )
 """Fixed suites that `tasks.build` generates. A suite's position here seeds it: add new ones at the end."""
 AUTHORED: tuple[str, ...] = ("open-v2:words", "open-v3:words", "open-v3:photos", "open-v3:wild")
@@ -41,7 +42,10 @@ FIXED: tuple[str, ...] = BUILT + AUTHORED + PICTURED
 SUITES: tuple[str, ...] = (TRAIN_NAME, *FIXED)
 TEST_ONLY: frozenset[str] = frozenset(name for name in FIXED if not name.startswith(f"{VERSION}:"))
 """Suites that no training data may be collected from."""
-CONDITIONS: Mapping[str, Mapping[str, str | float]] = {"open-v3:wild": {"appearance": "varied", "wind": 2.0}}
+CONDITIONS: Mapping[str, Mapping[str, str | float]] = {
+    "open-v3:wild": {"appearance": "varied", "wind": 2.0},
+    "open-v3:places": {"appearance": "photo", "place": "kept"},
+}
 """Options of `plan.Scenario` that belong to a suite's definition: it is scored with no others."""
 DEFAULT_TRAIN_SIZE = 300
 UNLIMITED = 10**9
@@ -64,6 +68,7 @@ ABOUT: dict[str, str] = {
     "open-v3:photos": "held out: photographs on the panels",
     "open-v3:missions": "missions: one sentence for up to 4 stages and a landing; 50 of 150 typed, held out",
     "open-v3:clutter": "obstacles in the way, empty frames, landmarks; the rest as test and layouts",
+    "open-v3:places": "held out: photographed places around the stage; the rest as test, hard and layouts",
     "open-v3:wild": "held out: pictures in bad light, sentences and layouts; varied room, wind",
 }
 """What each suite tests: what is held out from training, or that its tasks are practised."""

@@ -40,6 +40,8 @@ def check_vehicle(spec: VehicleSpec, scenario: Scenario) -> None:
         return
     if scenario.airframe != "iris":
         raise RunError("--link gazebo flies the Iris, the only airframe modelled there; add --airframe iris")
+    if scenario.appearance == "photo":
+        raise RunError("the exported Gazebo worlds have no photographed places; leave --appearance and --place out")
     if scenario.wind:
         raise RunError("the exported Gazebo worlds have no wind; leave --wind out")
 

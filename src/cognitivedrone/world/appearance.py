@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import colorsys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal, TypeAlias, get_args
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.types import Image
+from cognitivedrone.world.places import load_place
 
 RGB: TypeAlias = tuple[float, float, float]
 """Red, green, blue, 0 to 1."""
@@ -19,6 +21,7 @@ Pattern = Literal["plain", "checker", "tiles", "planks", "bricks", "speckle", "c
 PATTERNS: tuple[Pattern, ...] = get_args(Pattern)
 _PATTERN_SIZE = 128
 _NOISE_SIZE = 512
+_MAX_BLUR_PX = 8.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +52,22 @@ class Appearance:
     """Standard deviation of the camera's pixel noise, in steps of 1/255."""
     seed: int = 0
     """Seed of the pixel noise."""
+    place: str = ""
+    """A place (`world.places`) around the stage instead of floor and surroundings; empty for none."""
+    place_turn: float = 0.0
+    """Turn of the place about the vertical, rad."""
+    place_tilt: tuple[float, float] = (0.0, 0.0)
+    """Small turns of the place about x and y, rad."""
+    place_brightness: float = 1.0
+    """Factor on the place's pixels, 0 to 1."""
+    ambient_color: RGB = (1.0, 1.0, 1.0)
+    light_color: RGB = (1.0, 1.0, 1.0)
+    distortion: float = 0.0
+    """Radial distortion of the lens: a corner of the picture shows what is this share nearer its centre without."""
+    vignetting: float = 0.0
+    """Loss of light in the picture's corners, 0 to 1."""
+    exposure_s: float = 0.0
+    """Time of an exposure, s: turns of the drone blur the picture by it."""
 
 
 PLAIN = Appearance(
@@ -76,17 +95,14 @@ def varied_appearance(rng: np.random.Generator) -> Appearance:
 
     azimuth = rng.uniform(0.0, 2 * np.pi)
     slant = rng.uniform(0.2, 0.8)
-    red, green, blue = (
-        hsv(hue + rng.uniform(-spread, spread), (0.8, 1.0), (0.7, 1.0))
-        for hue, spread in ((0.0, 0.025), (1 / 3, 0.05), (0.64, 0.035))
-    )
+    gate_colors = _gate_colors(rng)
     return Appearance(
         floor=hsv(rng.uniform(), (0.0, 0.3), (0.35, 1.0)),
         floor_pattern=pattern(plain=0.25),
         surroundings=hsv(rng.uniform(), (0.0, 0.35), (0.3, 0.95)),
         surroundings_pattern=pattern(plain=0.5),
         surroundings_glow=float(rng.uniform(0.0, 0.6)),
-        gate_colors=(red, green, blue),
+        gate_colors=gate_colors,
         ambient=float(rng.uniform(0.4, 0.7)),
         diffuse=float(rng.uniform(0.25, 0.6)),
         light_direction=(float(slant * np.cos(azimuth)), float(slant * np.sin(azimuth)), -1.0),
@@ -98,11 +114,71 @@ def varied_appearance(rng: np.random.Generator) -> Appearance:
     )
 
 
-def expose(image: Image, appearance: Appearance, key: int) -> None:
-    """Apply the camera of an appearance to a perfect `image` (h, w, 3), in place: response curve, gain, pixel noise.
+def photo_appearance(rng: np.random.Generator, among: Sequence[str]) -> Appearance:
+    """An appearance in one of the places `among`, drawn from `rng`: its turn, light and camera."""
+    name = among[int(rng.integers(len(among)))]
+    place = load_place(name)
+    turn = float(rng.uniform(0.0, 2 * np.pi))
+    east, north, down = place.light
+    mixed = float(rng.uniform(0.3, 0.7))  # of the light's colour with white
 
-    The noise depends only on its seed and `key`, so equal keys give equal bits; h and w are at most 512.
+    def tinted(color: RGB) -> RGB:
+        red, green, blue = (1 - mixed + mixed * part for part in color)
+        return red, green, blue
+
+    return Appearance(
+        floor=PLAIN.floor,
+        floor_pattern="plain",
+        surroundings=PLAIN.surroundings,
+        surroundings_pattern="plain",
+        surroundings_glow=1.0,
+        gate_colors=_gate_colors(rng),
+        ambient=float(rng.uniform(0.45, 0.7)),
+        diffuse=float(rng.uniform(0.25, 0.55)),
+        light_direction=(
+            east * np.cos(turn) - north * np.sin(turn),
+            east * np.sin(turn) + north * np.cos(turn),
+            down,
+        ),
+        panel_brightness=float(rng.uniform(0.7, 1.0)),
+        gain=float(rng.uniform(0.85, 1.1)),
+        gamma=float(rng.uniform(0.8, 1.25)),
+        noise=float(rng.uniform(0.0, 4.0)),
+        seed=int(rng.integers(2**31)),
+        place=name,
+        place_turn=turn,
+        place_tilt=(float(rng.uniform(-0.02, 0.02)), float(rng.uniform(-0.02, 0.02))),
+        place_brightness=float(rng.uniform(0.7, 1.0)),
+        ambient_color=tinted(place.ambient_color),
+        light_color=tinted(place.light_color),
+        distortion=float(rng.uniform(-0.06, 0.06)),
+        vignetting=float(rng.uniform(0.0, 0.35)),
+        exposure_s=float(rng.uniform(0.0, 0.02)),
+    )
+
+
+def _gate_colors(rng: np.random.Generator) -> tuple[RGB, RGB, RGB]:
+    """Colours that remain recognisable by name."""
+    red, green, blue = (
+        colorsys.hsv_to_rgb((hue + rng.uniform(-spread, spread)) % 1.0, rng.uniform(0.8, 1.0), rng.uniform(0.7, 1.0))
+        for hue, spread in ((0.0, 0.025), (1 / 3, 0.05), (0.64, 0.035))
+    )
+    return red, green, blue
+
+
+def expose(image: Image, appearance: Appearance, key: int, blur_px: float = 0.0) -> None:
+    """Apply the camera of an appearance to a perfect `image` (h, w, 3), in place.
+
+    Lens distortion, blur sideways by `blur_px`, vignetting, response curve, gain, pixel noise. The noise depends only
+    on its seed and `key`, so equal keys give equal bits; h and w are at most 512.
     """
+    if appearance.distortion:
+        image[...] = image.reshape(-1, 3)[_bent(image.shape[0], image.shape[1], round(appearance.distortion, 2))]
+    if blur_px >= 0.5:
+        _blur(image, int(np.ceil(min(blur_px, _MAX_BLUR_PX))))
+    if appearance.vignetting:
+        shade = _vignette(image.shape[0], image.shape[1], round(appearance.vignetting, 2))
+        np.right_shift(np.multiply(image, shade, dtype=np.uint16), 8, out=image, casting="unsafe")
     if appearance.gain != 1.0 or appearance.gamma != 1.0:
         # bytes.translate is several times faster than indexing a table with an array.
         exposed = image.tobytes().translate(_response(appearance.gain, appearance.gamma))
@@ -155,6 +231,35 @@ def _waves(
         total += np.sin(2 * np.pi * (fx * x + sign * fy * y) / _PATTERN_SIZE + rng.uniform(0, 2 * np.pi))
     scaled: NDArray[np.float64] = (total - total.min()) / np.ptp(total)
     return scaled
+
+
+def _blur(image: Image, pixels: int) -> None:
+    """Average of the picture and itself moved by 1 to `pixels` pixels."""
+    total = image.astype(np.uint16)
+    for step in range(1, pixels + 1):
+        total[:, step:] += image[:, :-step]
+        total[:, :step] += image[:, :1]
+    np.floor_divide(total, pixels + 1, out=image, casting="unsafe")
+
+
+@lru_cache(maxsize=32)
+def _bent(height: int, width: int, distortion: float) -> NDArray[np.intp]:
+    """(height, width) numbers of the pixels that a lens shows there."""
+    y, x = np.mgrid[0:height, 0:width].astype(np.float64)
+    y, x = (y + 0.5) / height * 2 - 1, (x + 0.5) / width * 2 - 1
+    scale = 1 - distortion * (x**2 + y**2) / 2 + min(distortion, 0.0)  # what is bent outwards is cut off
+    row = np.clip(((y * scale + 1) * height / 2).astype(np.intp), 0, height - 1)
+    column = np.clip(((x * scale + 1) * width / 2).astype(np.intp), 0, width - 1)
+    bent: NDArray[np.intp] = row * width + column
+    return bent
+
+
+@lru_cache(maxsize=64)
+def _vignette(height: int, width: int, loss: float) -> NDArray[np.uint16]:
+    """(height, width, 1) factors, in steps of 1/256."""
+    y, x = np.mgrid[0:height, 0:width].astype(np.float64)
+    radius = (((y + 0.5) / height * 2 - 1) ** 2 + ((x + 0.5) / width * 2 - 1) ** 2) / 2
+    return np.round(256 * (1 - loss * radius)).astype(np.uint16)[..., None]
 
 
 @lru_cache(maxsize=64)

@@ -15,7 +15,7 @@ from PIL import Image as PillowImage
 
 from cognitivedrone.frames import rotation_matrix
 from cognitivedrone.types import SHAPES, SIZES, FloatArray, Gate, Image, Shape, Size
-from cognitivedrone.world import geometry
+from cognitivedrone.world import geometry, places
 from cognitivedrone.world.appearance import PATTERNS, Pattern, pattern_texture
 from cognitivedrone.world.engine import mujoco
 
@@ -25,6 +25,8 @@ BOARD: Final = 3
 """Picture index of the board; 0 to 2 are the labels of gates 1 to 3."""
 PICTURES: Final = 4
 """Pictures per slot: three labels and a board."""
+OWN_PLACE: Final = ""
+"""Key of the texture of a user's own place."""
 MAX_SLOTS: Final = 200
 """Limited because MuJoCo's renderer holds at most 1000 textures."""
 
@@ -61,8 +63,12 @@ class Assets:
     """Unit panel: x outward, y and z from -0.5 to 0.5; scaled when placed."""
     floor: Placed
     room: Placed
+    place: Placed
+    """Ground and dome of a place."""
     patterns: dict[Pattern, int]
     """Material of each pattern."""
+    places: dict[str, int]
+    """Texture of each shipped place, and as `OWN_PLACE` a user's own; its material has the same number."""
     pictures: NDArray[np.int32]
     """(slots, 4) texture numbers of each slot; each texture's material has the same number."""
 
@@ -80,12 +86,15 @@ def build_assets(slots: int, image_size: int) -> Assets:
     add_mesh(spec, "panel", *panel_mesh())
     add_mesh(spec, "floor", *floor_mesh())
     add_mesh(spec, "room", *_room_mesh())
+    add_mesh(spec, "place", *places.mesh())
     for pattern in PATTERNS:
         texture = add_texture(spec, pattern, pattern_texture(pattern).shape[0])
         texture.data = pattern_texture(pattern).tobytes()
     for slot in range(slots):
         for picture in range(PICTURES):
             add_texture(spec, f"picture {slot} {picture}", TEXTURE_SIZE)
+    for name in (*places.names(), OWN_PLACE):
+        add_texture(spec, f"place {name}", *(places.SIZE if name else places.OWN_SIZE))
     model = spec.compile()
     return Assets(
         model=model,
@@ -93,7 +102,9 @@ def build_assets(slots: int, image_size: int) -> Assets:
         panel=_placed(model, "panel"),
         floor=_placed(model, "floor"),
         room=_placed(model, "room"),
+        place=_placed(model, "place"),
         patterns={pattern: model.texture(pattern).id for pattern in PATTERNS},
+        places={name: model.texture(f"place {name}").id for name in (*places.names(), OWN_PLACE)},
         pictures=len(PATTERNS) + np.arange(slots * PICTURES, dtype=np.int32).reshape(slots, PICTURES),
     )
 
@@ -107,6 +118,15 @@ def write_picture(assets: Assets, slot: int, picture: int, image: Image) -> int:
     return texture
 
 
+def write_place(assets: Assets, name: str) -> int:
+    """Write a place's panorama into its texture; returns the texture's number, for upload."""
+    texture = assets.places.get(name, assets.places[OWN_PLACE])
+    pixels = places.load_place(name).pixels
+    start = int(assets.model.tex_adr[texture])
+    assets.model.tex_data[start : start + pixels.size] = pixels.reshape(-1)
+    return texture
+
+
 def square(image: Image) -> Image:
     """An RGB image (h, w, 3) of any size as a texture (256, 256, 3)."""
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
@@ -117,17 +137,18 @@ def square(image: Image) -> Image:
     return np.asarray(PillowImage.fromarray(image).resize(size, PillowImage.Resampling.BILINEAR))
 
 
-def add_texture(spec: Any, name: str, size: int) -> Any:
-    """A white square RGB texture, and a material of the same name that shows it."""
+def add_texture(spec: Any, name: str, width: int, height: int = 0) -> Any:
+    """A white RGB texture, square without a height, and a material of the same name that shows it."""
+    height = height or width
     texture = spec.add_texture(
         name=name,
         type=mujoco.mjtTexture.mjTEXTURE_2D,
         builtin=mujoco.mjtBuiltin.mjBUILTIN_NONE,
-        width=size,
-        height=size,
+        width=width,
+        height=height,
         nchannel=3,
     )
-    texture.data = b"\xff" * (size * size * 3)
+    texture.data = b"\xff" * (width * height * 3)
     material = spec.add_material(name=name)
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
     return texture

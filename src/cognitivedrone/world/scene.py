@@ -15,7 +15,7 @@ from cognitivedrone.frames import quaternion_from_yaw, rotation_matrix
 from cognitivedrone.types import COLORS, DroneState, FloatArray, Stage
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import RGB, Appearance
-from cognitivedrone.world.assets import BOARD, Assets, Placed
+from cognitivedrone.world.assets import BOARD, OWN_PLACE, Assets, Placed
 from cognitivedrone.world.engine import mujoco
 
 _MAX_GEOMS = 128
@@ -79,17 +79,25 @@ def fill_scene(
     if stage.landing:
         for gate, center in zip(stage.gates, centers, strict=True):
             _add_pad(scene, center, appearance.gate_colors[COLORS.index(gate.color)])
-    _add_mesh(scene, assets.floor, home, level, appearance.floor, 0.0, _pattern(assets, appearance.floor_pattern))
-    _add_mesh(
-        scene,
-        assets.room,
-        home,
-        level,
-        appearance.surroundings,
-        appearance.surroundings_glow,
-        _pattern(assets, appearance.surroundings_pattern),
-    )
+    _add_surroundings(scene, assets, home, level, appearance)
     _set_light(scene, level, appearance)
+
+
+def _add_surroundings(scene: Any, assets: Assets, home: FloatArray, level: FloatArray, appearance: Appearance) -> None:
+    """Floor and room, or the place of the appearance."""
+    if appearance.place:
+        around_x, around_y = appearance.place_tilt
+        tilt = np.array([1.0, around_x / 2, around_y / 2, 0.0])
+        axes = level @ rotation_matrix(tilt / np.linalg.norm(tilt))
+        axes = axes @ rotation_matrix(quaternion_from_yaw(appearance.place_turn))
+        shade: RGB = (appearance.place_brightness,) * 3
+        material = assets.places.get(appearance.place, assets.places[OWN_PLACE])
+        _add_mesh(scene, assets.place, home, axes, shade, 1.0, material)
+        return
+    floor, room = appearance.floor_pattern, appearance.surroundings_pattern
+    _add_mesh(scene, assets.floor, home, level, appearance.floor, 0.0, _pattern(assets, floor))
+    glow = appearance.surroundings_glow
+    _add_mesh(scene, assets.room, home, level, appearance.surroundings, glow, _pattern(assets, room))
 
 
 def add_drone(scene: Any, state: DroneState, scale: float = 1.0) -> None:
@@ -184,6 +192,6 @@ def _set_light(scene: Any, level: FloatArray, appearance: Appearance) -> None:
     light.pos[:] = (0.0, 0.0, 10.0)
     light.dir[:] = direction / np.linalg.norm(direction)
     light.attenuation[:] = (1.0, 0.0, 0.0)
-    light.ambient[:] = appearance.ambient
-    light.diffuse[:] = appearance.diffuse
+    light.ambient[:] = appearance.ambient * np.array(appearance.ambient_color)
+    light.diffuse[:] = appearance.diffuse * np.array(appearance.light_color)
     light.specular[:] = 0.0

@@ -1,4 +1,4 @@
-"""Tables of what comes with the package: suites, task families, airframes, policies, reasoners."""
+"""Tables of what comes with the package: suites, task families, airframes, places, policies, reasoners."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from cognitivedrone.reasoners import NONE, REASONERS
 from cognitivedrone.registry import load, usage
 from cognitivedrone.sim.airframe import AIRFRAMES
 from cognitivedrone.tasks import ABOUT, FAMILIES, SUITES, load_suite
+from cognitivedrone.world import places
 
 
 def catalogue() -> RenderableType:
@@ -39,6 +40,12 @@ def catalogue() -> RenderableType:
             ],
         ),
     ]
+    shown = {"training": "Models are trained in these.", "kept": "No model is trained in these."}
+    sections.append(
+        _section(
+            "Places (--place)", (_entry(name, about, ", ".join(places.names(name))) for name, about in shown.items())
+        )
+    )
     return Group(*sections, f"Airframes (--airframe): {', '.join(AIRFRAMES)}")
 
 

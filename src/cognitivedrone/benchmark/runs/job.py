@@ -24,6 +24,7 @@ from cognitivedrone.tasks.scenario import suite_of
 from cognitivedrone.tasks.suites import CONDITIONS
 from cognitivedrone.vehicles import autopilot_file, check_tracks, check_vehicle
 from cognitivedrone.vehicles.contract import Request
+from cognitivedrone.world.places import known_as
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +58,11 @@ def resolve(plan: Plan, *, named: bool = True) -> Job:
     model, answers = (model_file(policy), reasoner_file(reasoner)) if named else (None, None)
     autopilot = autopilot_file(plan.vehicle)
     labels = scenario.labels
-    resolved = {"labels": None if labels is None else digest_of_labels(labels), "latency": delays.identity}
+    resolved = {
+        "labels": None if labels is None else digest_of_labels(labels),
+        "latency": delays.identity,
+        "place": known_as(scenario.place),
+    }
     pack = load_pack(labels)
     options = plan.identity(resolved) | {"model": None if model is None else digest_of_file(model)}
     own = {"policy_code": own_module(policy, POLICIES), "reasoner_code": own_module(reasoner, REASONERS)}

@@ -1,0 +1,201 @@
+"""Places: panoramas of real rooms, woods and streets around a stage, seen from `EYE_M` above its origin.
+
+A panorama is equirectangular: all directions around its eye, twice as wide as high. Where a ray below the horizon meets
+the ground within `REACH_M`, the picture lies on the ground; elsewhere it lies on a dome. So the ground near the start
+moves as a real one would, and what is far away turns with the drone.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+import warnings
+from dataclasses import dataclass
+from importlib import resources
+from io import BytesIO
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image as PillowImage
+from PIL import ImageOps
+
+from cognitivedrone.errors import AppearanceError, did_you_mean
+from cognitivedrone.files import digest_of_file, read_regular, reason_of
+from cognitivedrone.types import FloatArray, Image
+
+EYE_M: Final = 1.6
+"""Height of the camera that took a panorama, m."""
+REACH_M: Final = 38.0
+"""Distance to which the ground is drawn, and of the dome, m."""
+OWN_SIZE: Final = (2048, 1024)
+"""Width and height at which a user's panorama is drawn, px."""
+SIZE: Final = (512, 256)
+"""Width and height of a shipped panorama, px."""
+SETS: Final = ("training", "kept")
+"""Names for several places at once: those that models are trained in, and those that none was."""
+_COLUMNS: Final = 48
+_FLOOR_DEG: Final = (62.0, 42.0, 28.0, 18.0, 11.0, 7.0, 4.2)  # below the horizon; rings between nadir and the farthest
+_DOME_DEG: Final = (7.0, 16.0, 27.0, 42.0, 62.0)  # above the horizon; rings up to the zenith
+_MAX_BYTES: Final = 100_000_000
+_MAX_PIXELS: Final = 140_000_000  # 16k by 8k
+_SMALLEST: Final = 64  # px high
+_LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """A panorama and the light in it."""
+
+    pixels: Image
+    """(h, 2h, 3), zenith first, azimuth to the right (clockwise from above); the middle column is straight ahead."""
+    light: tuple[float, float, float]
+    """Direction in which most light shines, stage frame, unit length; it comes from above."""
+    light_color: tuple[float, float, float]
+    """Colour of that light, the largest part 1."""
+    ambient_color: tuple[float, float, float]
+    """Mean colour all around, the largest part 1."""
+
+
+@functools.cache
+def names(which: str = "") -> tuple[str, ...]:
+    """Names of the shipped places: all of them, or one of `SETS`."""
+    table = json.loads((resources.files("cognitivedrone.world") / "panoramas" / "manifest.json").read_text("utf-8"))
+    return tuple(sorted([*table["training"], *table["kept"]]) if not which else table[which])
+
+
+def choices(place: str) -> tuple[str, ...]:
+    """The places that an option means: one of `SETS`, a shipped place, or a file. Raises `AppearanceError`."""
+    if place in SETS:
+        return names(place)
+    load_place(place)
+    return (place,)
+
+
+def known_as(place: str) -> str:
+    """What identifies the places of an option in results: the name, or a file's SHA-256. Raises as `load_place`."""
+    if not place or place in (*SETS, *names()):
+        return place
+    load_place(place)
+    return f"sha256:{digest_of_file(Path(place))}"
+
+
+@functools.lru_cache(maxsize=32)
+def load_place(place: str) -> Place:
+    """A shipped place by its name, or a user's panorama by its file's. Raises `AppearanceError` with the way out."""
+    if place in names():
+        content = (resources.files("cognitivedrone.world") / "panoramas" / f"{place}.jpg").read_bytes()
+        return _place(np.asarray(PillowImage.open(BytesIO(content)).convert("RGB")))
+    path = Path(place)
+    if not path.exists():
+        raise AppearanceError(
+            f"there is no place and no file {place!r}; {did_you_mean(place, (*SETS, *names()))}, or give a panorama"
+            " (JPEG, PNG or WebP, twice as wide as high)"
+        )
+    return _place(_read(path))
+
+
+def _read(path: Path) -> Image:
+    """A user's panorama, (1024, 2048, 3)."""
+    try:
+        content = read_regular(path, _MAX_BYTES)
+    except OSError as error:
+        raise AppearanceError(f"panorama {path} cannot be read: {reason_of(error)}") from None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of odd metadata, and of sizes, for which the limit below is stricter
+            with PillowImage.open(BytesIO(content), formats=("PNG", "JPEG", "WEBP")) as opened:
+                _check_size(path, opened.width, opened.height)
+                opened.draft("RGB", OWN_SIZE)
+                image = _eight_bit(ImageOps.exif_transpose(opened))
+                return np.asarray(image.resize(OWN_SIZE, PillowImage.Resampling.LANCZOS))
+    except AppearanceError:
+        raise
+    except Exception as error:  # Pillow raises many kinds for broken files
+        what = " ".join(str(error).split())[:160] or type(error).__name__
+        raise AppearanceError(
+            f"panorama {path} cannot be read as JPEG, PNG or WebP: {what}; export it as one (HDR and EXR pictures, too)"
+        ) from None
+
+
+def _check_size(path: Path, width: int, height: int) -> None:
+    if width * height > _MAX_PIXELS:
+        raise AppearanceError(f"panorama {path} has {width}x{height} pixels; at most 16384x8192 are read")
+    if height < _SMALLEST:
+        raise AppearanceError(f"panorama {path} has {width}x{height} pixels; it takes at least 128x64")
+    if not 1.9 <= width / height <= 2.1:
+        way = "it is a strip" if width > 2 * height else "it shows a part of the sphere, or two fish-eye pictures"
+        raise AppearanceError(
+            f"panorama {path} has {width}x{height} pixels and must be twice as wide as high, all around and from zenith"
+            f" to nadir: {way}; take it with a phone's photo sphere mode, or fill it up to 2:1 with a panorama tool"
+        )
+
+
+def _eight_bit(image: PillowImage.Image) -> PillowImage.Image:
+    """RGB of any of Pillow's modes, 16-bit grey included."""
+    if image.mode.startswith(("I", "F")):
+        deep = np.asarray(image, dtype=np.float64)
+        scale = 257.0 if deep.max(initial=0.0) > 255 else 1.0
+        return PillowImage.fromarray(np.clip(deep / scale, 0, 255).astype(np.uint8)).convert("RGB")
+    return image.convert("RGB")
+
+
+def _place(pixels: Image) -> Place:
+    """The light of a panorama: the mean direction of its brightest parts above the horizon."""
+    small = np.asarray(PillowImage.fromarray(pixels).resize((64, 32), PillowImage.Resampling.BOX), np.float64) / 255.0
+    elevation = np.pi * (0.5 - (np.arange(32) + 0.5) / 32)[:, None]
+    azimuth = -2 * np.pi * ((np.arange(64) + 0.5) / 64 - 0.5)[None]
+    solid = np.cos(elevation)  # angle that a pixel covers
+    weight = np.where(elevation > 0, solid * (small @ _LUMINANCE) ** 8, 0.0)
+    towards = np.stack(
+        np.broadcast_arrays(np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth)), -1
+    )
+    east, north = (weight[..., None] * towards).sum(axis=(0, 1)) / max(weight.sum(), 1e-12)
+    direction = np.array([-east, -north, -1.0])
+    direction /= np.linalg.norm(direction)
+    bright = (weight[..., None] * small).sum(axis=(0, 1))
+    around = (solid[..., None] * small).sum(axis=(0, 1))
+    x, y, z = direction
+    return Place(pixels, (float(x), float(y), float(z)), _tint(bright), _tint(around))
+
+
+def _tint(color: FloatArray) -> tuple[float, float, float]:
+    """A colour with the largest part 1; white for none."""
+    top = float(color.max())
+    red, green, blue = color / top if top > 1e-6 else np.ones(3)
+    return float(red), float(green), float(blue)
+
+
+def mesh() -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
+    """Ground and dome, seen from inside: vertices (n, 3) m, triangles (k, 3), texture coordinates (n, 2), v downwards.
+
+    The eye is above the origin; the panorama's middle column is towards +x.
+    """
+    horizon = math.degrees(math.atan2(EYE_M, REACH_M))
+    ground = [-90.0, *(-angle for angle in _FLOOR_DEG), -horizon]
+    elevations = np.radians([*ground, *_DOME_DEG, 90.0])
+    onto_ground = np.arange(len(elevations)) < len(ground)
+    distance = np.where(onto_ground, EYE_M / np.maximum(np.sin(-elevations), 1e-9), math.hypot(REACH_M, EYE_M))
+    columns = np.arange(_COLUMNS + 1) / _COLUMNS
+    azimuths = -2 * np.pi * (columns - 0.5)
+    flat = distance * np.cos(elevations)
+    vertices = np.stack(
+        np.broadcast_arrays(
+            flat[:, None] * np.cos(azimuths),
+            flat[:, None] * np.sin(azimuths),
+            (EYE_M + distance * np.sin(elevations))[:, None],
+        ),
+        axis=-1,
+    )
+    texture = np.stack(np.broadcast_arrays(columns, (0.5 - elevations / np.pi)[:, None]), axis=-1)
+    row, column = np.meshgrid(np.arange(len(elevations) - 1), np.arange(_COLUMNS), indexing="ij")
+    first = (row * (_COLUMNS + 1) + column).reshape(-1, 1)
+    low_left, low_right, up_left, up_right = (first + step for step in (0, 1, _COLUMNS + 1, _COLUMNS + 2))
+    # Columns go clockwise, so this order faces the eye.
+    faces = np.concatenate([np.hstack([low_left, low_right, up_right]), np.hstack([low_left, up_right, up_left])])
+    points = vertices.reshape(-1, 3)
+    corners = points[faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    return points, faces[area > 1e-6], texture.reshape(-1, 2)  # at nadir and zenith, half of the triangles are nothing

@@ -1,0 +1,218 @@
+"""Places: the shipped ones, the light that is read off them, and panoramas of a user's own, good and bad."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from importlib import resources
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from cognitivedrone.envs.track_runner import TrackConfig
+from cognitivedrone.errors import AppearanceError, RenderError
+from cognitivedrone.plan import Scenario
+from cognitivedrone.sim.camera import Cameras
+from cognitivedrone.types import Gate, Stage
+from cognitivedrone.world import places
+from cognitivedrone.world.appearance import PLAIN, expose, photo_appearance
+
+STAGE = Stage(
+    (Gate("big", "round", "red"), Gate("big", "square", "green"), Gate("small", "triangle", "blue")),
+    ("animal/cat", "animal/dog", "animal/owl"),
+)
+PICTURES = [np.full((64, 64, 3), 128, np.uint8)] * 3
+
+
+def panorama(width=512, height=256, color=(90, 120, 60)) -> Image.Image:
+    """A ground of one colour under a bright sky whose left half, seen from the middle, is brighter."""
+    pixels = np.full((height, width, 3), color, np.uint8)
+    pixels[: height // 2] = (120, 150, 200)
+    pixels[: height // 3, : width // 4] = 255
+    return Image.fromarray(pixels)
+
+
+def test_six_of_the_shipped_places_are_kept_by_the_rule_that_is_stated():
+    training, kept = places.names("training"), places.names("kept")
+    assert len(training) == 12
+    assert len(kept) == 6
+    assert {*training, *kept} == {*places.names()}
+    others = {*training, *kept} - {"forest", "warehouse"}
+    assert {*kept} == {"forest", "warehouse"} | {
+        *sorted(others, key=lambda name: hashlib.sha256(name.encode()).hexdigest())[:4]
+    }
+
+
+@pytest.mark.parametrize("name", places.names())
+def test_a_shipped_place_has_a_picture_and_a_light_from_above(name):
+    place = places.load_place(name)
+    assert place.pixels.shape == (256, 512, 3)
+    assert place.light[2] < 0
+    assert np.linalg.norm(place.light) == pytest.approx(1.0)
+    for color in (place.light_color, place.ambient_color):
+        assert max(color) == pytest.approx(1.0)
+
+
+def test_the_pictures_name_their_source_and_licence_and_are_small():
+    folder = resources.files("cognitivedrone.world") / "panoramas"
+    table = json.loads((folder / "manifest.json").read_text())
+    assert table["licence"] == "CC0-1.0"
+    assert sum(len((folder / f"{name}.jpg").read_bytes()) for name in places.names()) < 1_500_000
+
+
+def test_every_face_of_the_mesh_is_seen_from_the_eye():
+    vertices, faces, texture = places.mesh()
+    eye = np.array([0.0, 0.0, places.EYE_M])
+    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
+    outward = np.einsum("ij,ij->i", np.cross(b - a, c - a), a - eye)
+    assert (outward < 0).all(), "counter-clockwise from inside"
+    assert texture.min() >= 0.0
+    assert texture.max() <= 1.0
+    ground = vertices[:, 2] < 1e-9
+    assert np.allclose(vertices[ground, 2], 0.0)
+    assert np.linalg.norm(vertices[ground, :2], axis=1).max() == pytest.approx(places.REACH_M)
+
+
+def test_a_ray_from_the_eye_meets_its_own_pixel():
+    """Vertices lie where the direction of their texture coordinates points."""
+    vertices, _, texture = places.mesh()
+    seen = vertices - [0.0, 0.0, places.EYE_M]
+    elevation = np.arctan2(seen[:, 2], np.linalg.norm(seen[:, :2], axis=1))
+    np.testing.assert_allclose(texture[:, 1], 0.5 - elevation / np.pi, atol=1e-6)
+    level = np.linalg.norm(seen[:, :2], axis=1) > 1e-6
+    turn = np.exp(1j * (np.arctan2(seen[level, 1], seen[level, 0]) + 2 * np.pi * (texture[level, 0] - 0.5)))
+    np.testing.assert_allclose(turn, 1.0, atol=1e-6)
+
+
+def test_the_light_comes_from_where_the_picture_is_brightest(tmp_path):
+    panorama().save(tmp_path / "mine.png")
+    east, north, down = places.load_place(str(tmp_path / "mine.png")).light
+    assert down < 0
+    assert east > 0, "the bright quarter is behind on the left, so the light goes ahead"
+    assert north < 0
+
+
+def test_an_appearance_is_drawn_from_the_generator_alone_and_reaches_every_place():
+    among = places.names("training")
+    drawn = [photo_appearance(np.random.default_rng(seed), among) for seed in range(100)]
+    assert drawn == [photo_appearance(np.random.default_rng(seed), among) for seed in range(100)]
+    assert {each.place for each in drawn} == {*among}
+
+
+def test_a_place_is_drawn_the_same_each_time_and_only_where_it_is_asked_for():
+    look = photo_appearance(np.random.default_rng(1), ["hall"])
+    pose = [[-1.0, 0.0, 0.75]], [[1.0, 0.0, 0.0, 0.0]]
+    with Cameras(2) as cameras:
+        cameras.set_stage(0, STAGE, PICTURES)
+        before = cameras.first_person(*pose).copy()
+        cameras.set_stage(1, STAGE, PICTURES, appearance=look)
+        first = cameras.first_person(*pose, slots=[1]).copy()
+        assert (cameras.first_person(*pose, slots=[1]) == first).all()
+        assert (cameras.first_person(*pose, slots=[0]) == before).all()
+        turned = cameras.first_person(*pose, slots=[1], yaw_rates=[5.0]).copy()
+    assert len(np.unique(first.reshape(-1, 3), axis=0)) > 1000
+    assert len(np.unique(before.reshape(-1, 3), axis=0)) < 200
+    across = np.abs(np.diff(first.astype(int), axis=2)).mean()
+    assert np.abs(np.diff(turned.astype(int), axis=2)).mean() < across
+
+
+def test_one_place_of_ones_own_is_drawn_at_a_time(tmp_path):
+    looks = []
+    for name, color in (("a", (200, 30, 30)), ("b", (30, 30, 200))):
+        panorama(color=color).save(tmp_path / f"{name}.png")
+        looks.append(photo_appearance(np.random.default_rng(0), [str(tmp_path / f"{name}.png")]))
+    pose = [[-1.0, 0.0, 0.75]], [[1.0, 0.0, 0.0, 0.0]]
+    with Cameras(2) as cameras:
+        cameras.set_stage(0, STAGE, PICTURES, appearance=looks[0])
+        red = cameras.first_person(*pose, slots=[0])[0, -20:].mean(axis=(0, 1))
+        with pytest.raises(RenderError, match="one place of your own"):
+            cameras.set_stage(1, STAGE, PICTURES, appearance=looks[1])
+        cameras.set_stage(0, STAGE, PICTURES, appearance=PLAIN)
+        cameras.set_stage(0, STAGE, PICTURES, appearance=looks[1])
+        blue = cameras.first_person(*pose, slots=[0])[0, -20:].mean(axis=(0, 1))
+    assert red[0] > 2 * red[2]
+    assert blue[2] > 2 * blue[0]
+
+
+def test_a_lens_bends_dims_and_blurs():
+    y, x = np.mgrid[0:64, 0:64]
+    picture = np.repeat(((x // 8 + y // 8) % 2 * 255).astype(np.uint8)[..., None], 3, axis=2)
+    for change in ({"distortion": 0.06}, {"distortion": -0.06}, {"vignetting": 0.3}):
+        seen = picture.copy()
+        expose(seen, PLAIN.__class__(**{**_fields(PLAIN), **change}), 0)
+        assert (seen != picture).any()
+        assert seen.max() == 255
+    blurred = picture.copy()
+    expose(blurred, PLAIN, 0, 3.0)
+    assert len(np.unique(blurred)) > 2
+
+
+def _fields(appearance):
+    return {name: getattr(appearance, name) for name in appearance.__slots__}
+
+
+@pytest.mark.parametrize(
+    ("size", "said"),
+    [
+        ((1, 1), "takes at least 128x64"),
+        ((600, 200), "it is a strip"),
+        ((512, 512), "a part of the sphere, or two fish-eye"),
+        ((640, 480), "a part of the sphere"),
+    ],
+)
+def test_pictures_that_are_no_panoramas_are_refused_with_the_way_out(tmp_path, size, said):
+    Image.new("RGB", size, "grey").save(tmp_path / "mine.jpg")
+    with pytest.raises(AppearanceError, match=said):
+        places.load_place(str(tmp_path / "mine.jpg"))
+
+
+@pytest.mark.parametrize("content", [b"", b"<html>", b"\0" * 1000, b"v/1\x01 exr", b"RIFF....AVI "])
+def test_files_that_are_no_pictures_are_refused(tmp_path, content):
+    (tmp_path / "mine.jpg").write_bytes(content)
+    with pytest.raises(AppearanceError, match=r"cannot be read as JPEG, PNG or WebP.*export it as one"):
+        places.load_place(str(tmp_path / "mine.jpg"))
+
+
+def test_a_name_that_is_neither_place_nor_file_is_met_with_the_nearest(tmp_path):
+    with pytest.raises(AppearanceError, match="did you mean 'warehouse'"):
+        places.load_place("wearhouse")
+
+
+@pytest.mark.parametrize("mode", ["1", "L", "LA", "P", "RGBA", "CMYK", "I;16", "I", "F"])
+def test_panoramas_of_every_kind_are_read(tmp_path, mode):
+    if mode == "I;16":
+        Image.fromarray(np.linspace(0, 65535, 512)[None].repeat(256, 0).astype(np.uint16)).save(tmp_path / "mine.png")
+    elif mode in ("F", "CMYK"):
+        with io.BytesIO() as kept:
+            panorama().convert("CMYK").save(kept, "JPEG")
+            (tmp_path / "mine.png").write_bytes(kept.getvalue())
+    else:
+        panorama().convert(mode).save(tmp_path / "mine.png")
+    pixels = places.load_place(str(tmp_path / "mine.png")).pixels
+    assert pixels.shape == (1024, 2048, 3)
+    assert np.ptp(pixels) > 50
+
+
+@pytest.mark.parametrize("value", [0, 255])
+def test_a_place_of_one_colour_is_flown(tmp_path, value):
+    Image.new("RGB", (256, 128), (value,) * 3).save(tmp_path / "mine.png")
+    look = photo_appearance(np.random.default_rng(0), [str(tmp_path / "mine.png")])
+    assert np.isfinite([*look.light_direction, *look.ambient_color, *look.light_color]).all()
+
+
+def test_a_place_alone_asks_for_photographs_and_contradictions_are_refused():
+    assert Scenario(place="hall").appearance == "photo"
+    assert TrackConfig.of(Scenario(appearance="photo")).place == "training"
+    with pytest.raises(AppearanceError, match="leave out --appearance varied"):
+        Scenario(place="hall", appearance="varied")
+    with pytest.raises(AppearanceError, match="no place and no file 'hal'"):
+        TrackConfig.of(Scenario(place="hal"))
+
+
+def test_results_know_a_file_by_its_content(tmp_path):
+    panorama().save(tmp_path / "mine.png")
+    digest = hashlib.sha256((tmp_path / "mine.png").read_bytes()).hexdigest()
+    assert places.known_as(str(tmp_path / "mine.png")) == f"sha256:{digest}"
+    assert places.known_as("kept") == "kept"
