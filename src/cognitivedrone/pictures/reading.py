@@ -54,21 +54,26 @@ def read_picture(
     error: type[CognitiveDroneError],
     longest: int | None = None,
     max_bytes: int | None = None,
+    max_pixels: int = MAX_PIXELS,
 ) -> Image.Image:
     """RGB image of a PNG, JPEG, WebP or BMP file, scaled down to at most `longest` px a side.
 
     `what` names it in messages, as in "label image". Raises `error` with the file's name, what it is and a way out if
-    it is larger than `max_bytes` (`MAX_FILE_BYTES`) or `MAX_PIXELS`, or no such picture.
+    it is larger than `max_bytes` (`MAX_FILE_BYTES`) or `max_pixels`, or no such picture.
     """
     try:
         content = read_regular(path, MAX_FILE_BYTES if max_bytes is None else max_bytes)
     except OSError as refused:
         raise error(f"{what} {path} cannot be read: {reason_of(refused)}") from None
-    return decode_picture(content, f"{what} {path}", error, longest)
+    return decode_picture(content, f"{what} {path}", error, longest, max_pixels)
 
 
 def decode_picture(
-    content: bytes, named: str, error: type[CognitiveDroneError], longest: int | None = None
+    content: bytes,
+    named: str,
+    error: type[CognitiveDroneError],
+    longest: int | None = None,
+    max_pixels: int = MAX_PIXELS,
 ) -> Image.Image:
     """As `read_picture`, of a file's content; `named` is how messages name the file."""
     if other := what_else(content):
@@ -78,9 +83,9 @@ def decode_picture(
             warnings.simplefilter("ignore")  # of sizes, for which the limit below is stricter
             kept, orientation = without_metadata(content)
             with Image.open(BytesIO(kept), formats=FORMATS) as opened:
-                if opened.width * opened.height > MAX_PIXELS:
+                if opened.width * opened.height > max_pixels:
                     raise error(
-                        f"{named} has {opened.width}x{opened.height} pixels; at most {MAX_PIXELS / 1e6:.0f} million are"
+                        f"{named} has {opened.width}x{opened.height} pixels; at most {max_pixels / 1e6:.0f} million are"
                         " read; save it smaller"
                     )
                 if longest is not None:
@@ -94,7 +99,7 @@ def decode_picture(
     except error:
         raise
     except Image.DecompressionBombError:
-        raise error(f"{named} has far more than {MAX_PIXELS / 1e6:.0f} million pixels; save it smaller") from None
+        raise error(f"{named} has far more than {max_pixels / 1e6:.0f} million pixels; save it smaller") from None
     except UnidentifiedImageError:
         raise error(f"{named} cannot be read as PNG, JPEG or WebP: it is damaged; copy or save it again") from None
     except Exception as reason:  # Pillow raises many kinds for broken files

@@ -22,7 +22,7 @@ from cognitivedrone.errors import RenderError
 from cognitivedrone.frames import rotation_matrix
 from cognitivedrone.sim.gl import GLThread
 from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT, View, focal_length, top_view
-from cognitivedrone.types import IMAGE_SIZE, DroneState, Image, Images, Stage, Vector, Vectors
+from cognitivedrone.types import IMAGE_SIZE, DroneState, FloatArray, Image, Images, Stage, Vector, Vectors
 from cognitivedrone.world.appearance import PLAIN, Appearance, expose
 from cognitivedrone.world.assets import BOARD, MAX_SLOTS, build_assets, write_picture, write_place
 from cognitivedrone.world.engine import mujoco
@@ -209,7 +209,7 @@ class _Renderer:
         self._places.add(place)
 
     def first_person(
-        self, job: list[tuple[int, int]], eye: Vectors, forward: Vectors, up: Vectors, out: Images, blur: Vector
+        self, job: list[tuple[int, int]], eye: Vectors, forward: Vectors, up: Vectors, out: Images, blur: FloatArray
     ) -> None:
         """Render (index, slot) pairs of `job` into `out[index]`."""
         for index, slot in job:

@@ -50,8 +50,10 @@ HARD_SHARES: dict[str, int] = {
 MEMORY_TRACKS: tuple[int, ...] = (3, 4, 4, 4, 5)
 """Numbers of stages of the memory tracks."""
 STAGES_A_TRACK = 5
-HARD_IN_PLACES = 8
-"""Tasks of each harder family in `places`; every third task of the suite has another layout."""
+HARD_IN_PLACES: dict[str, int] = dict.fromkeys(
+    ("conjunction", "exclusion", "comparison", "two_step"), 10
+) | dict.fromkeys(("relations", "negation", "counting", "distraction"), 5)
+"""Tasks of the harder families in `places`, 20 per category; every third task of the suite has another layout."""
 LOOKS_ASKED = 20
 """Tasks of `absent` that name a gate by its looks; the other 180 are of the ten base families in equal numbers."""
 RACES = 20
@@ -119,8 +121,7 @@ def _choices(name: str, rng: np.random.Generator, dealer: Dealer) -> list[list[T
     if name == "hard":
         shares = {family: count for family, count in HARD_SHARES.items() if family != "memory"}
     elif name == "places":
-        harder = [family for family in HARD_SHARES if family != "memory"]
-        shares = equal_shares(200 - len(harder) * HARD_IN_PLACES) | dict.fromkeys(harder, HARD_IN_PLACES)
+        shares = equal_shares(200 - sum(HARD_IN_PLACES.values())) | HARD_IN_PLACES
     else:
         sizes = {"test": 300, "unseen": 150, "smoke": 30, "track": 100, "layouts": 300, "clutter": 200}
         shares = equal_shares(sizes[name])

@@ -259,7 +259,8 @@ def _vignette(height: int, width: int, loss: float) -> NDArray[np.uint16]:
     """(height, width, 1) factors, in steps of 1/256."""
     y, x = np.mgrid[0:height, 0:width].astype(np.float64)
     radius = (((y + 0.5) / height * 2 - 1) ** 2 + ((x + 0.5) / width * 2 - 1) ** 2) / 2
-    return np.round(256 * (1 - loss * radius)).astype(np.uint16)[..., None]
+    factors: NDArray[np.uint16] = np.round(256 * (1 - loss * radius)).astype(np.uint16)
+    return factors[..., None]
 
 
 @lru_cache(maxsize=64)

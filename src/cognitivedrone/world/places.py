@@ -10,7 +10,6 @@ from __future__ import annotations
 import functools
 import json
 import math
-import warnings
 from dataclasses import dataclass
 from importlib import resources
 from io import BytesIO
@@ -20,10 +19,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as PillowImage
-from PIL import ImageOps
 
 from cognitivedrone.errors import AppearanceError, did_you_mean
-from cognitivedrone.files import digest_of_file, read_regular, reason_of
+from cognitivedrone.files import digest_of_file
+from cognitivedrone.pictures import read_picture
 from cognitivedrone.types import FloatArray, Image
 
 EYE_M: Final = 1.6
@@ -99,47 +98,20 @@ def load_place(place: str) -> Place:
 
 def _read(path: Path) -> Image:
     """A user's panorama, (1024, 2048, 3)."""
-    try:
-        content = read_regular(path, _MAX_BYTES)
-    except OSError as error:
-        raise AppearanceError(f"panorama {path} cannot be read: {reason_of(error)}") from None
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of odd metadata, and of sizes, for which the limit below is stricter
-            with PillowImage.open(BytesIO(content), formats=("PNG", "JPEG", "WEBP")) as opened:
-                _check_size(path, opened.width, opened.height)
-                opened.draft("RGB", OWN_SIZE)
-                image = _eight_bit(ImageOps.exif_transpose(opened))
-                return np.asarray(image.resize(OWN_SIZE, PillowImage.Resampling.LANCZOS))
-    except AppearanceError:
-        raise
-    except Exception as error:  # Pillow raises many kinds for broken files
-        what = " ".join(str(error).split())[:160] or type(error).__name__
-        raise AppearanceError(
-            f"panorama {path} cannot be read as JPEG, PNG or WebP: {what}; export it as one (HDR and EXR pictures, too)"
-        ) from None
+    image = read_picture(path, "panorama", AppearanceError, OWN_SIZE[0], _MAX_BYTES, _MAX_PIXELS)
+    _check_form(path, image.width, image.height)
+    return np.asarray(image.resize(OWN_SIZE, PillowImage.Resampling.LANCZOS))
 
 
-def _check_size(path: Path, width: int, height: int) -> None:
-    if width * height > _MAX_PIXELS:
-        raise AppearanceError(f"panorama {path} has {width}x{height} pixels; at most 16384x8192 are read")
+def _check_form(path: Path, width: int, height: int) -> None:
     if height < _SMALLEST:
         raise AppearanceError(f"panorama {path} has {width}x{height} pixels; it takes at least 128x64")
     if not 1.9 <= width / height <= 2.1:
         way = "it is a strip" if width > 2 * height else "it shows a part of the sphere, or two fish-eye pictures"
         raise AppearanceError(
-            f"panorama {path} has {width}x{height} pixels and must be twice as wide as high, all around and from zenith"
-            f" to nadir: {way}; take it with a phone's photo sphere mode, or fill it up to 2:1 with a panorama tool"
+            f"panorama {path} must be twice as wide as high, all around and from zenith to nadir: {way}; take it with a"
+            " phone's photo sphere mode, or fill it up to 2:1 with a panorama tool"
         )
-
-
-def _eight_bit(image: PillowImage.Image) -> PillowImage.Image:
-    """RGB of any of Pillow's modes, 16-bit grey included."""
-    if image.mode.startswith(("I", "F")):
-        deep = np.asarray(image, dtype=np.float64)
-        scale = 257.0 if deep.max(initial=0.0) > 255 else 1.0
-        return PillowImage.fromarray(np.clip(deep / scale, 0, 255).astype(np.uint8)).convert("RGB")
-    return image.convert("RGB")
 
 
 def _place(pixels: Image) -> Place:
