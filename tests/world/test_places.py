@@ -207,7 +207,7 @@ def test_a_place_alone_asks_for_photographs_and_contradictions_are_refused():
     assert TrackConfig.of(Scenario(appearance="photo")).place == "training"
     with pytest.raises(AppearanceError, match="leave out --appearance varied"):
         Scenario(place="hall", appearance="varied")
-    with pytest.raises(AppearanceError, match="no place and no file 'hal'"):
+    with pytest.raises(AppearanceError, match="there is no place 'hal'"):
         TrackConfig.of(Scenario(place="hal"))
 
 

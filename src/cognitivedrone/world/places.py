@@ -90,8 +90,8 @@ def load_place(place: str) -> Place:
     path = Path(place)
     if not path.exists():
         raise AppearanceError(
-            f"there is no place and no file {place!r}; {did_you_mean(place, (*SETS, *names()))}, or give a panorama"
-            " (JPEG, PNG or WebP, twice as wide as high)"
+            f"there is no place {place!r}, and no such file of a panorama (JPEG, PNG or WebP, twice as wide as high);"
+            f" {did_you_mean(place, (*SETS, *names()))}"
         )
     return _place(_read(path))
 
