@@ -55,11 +55,11 @@ def test_a_run_that_fails_stops_no_other_one_and_the_table_has_them_all(hard, mo
 def test_the_busy_processes_end_with_the_run(hard, monkeypatch):
     started, start = [], subprocess.Popen
 
-    def noted(command):
+    def begin(command):
         started.append(start(command))
         return started[-1]
 
-    monkeypatch.setattr(hard.subprocess, "Popen", noted)
+    monkeypatch.setattr(hard.subprocess, "Popen", begin)
     with hard.busy():
         assert [process.poll() for process in started] == [None] * hard.BUSY
     assert None not in [process.returncode for process in started]
