@@ -345,6 +345,8 @@ class Attack:
     inject: Inject
     end: Literal["ground", "pilot", "flies on"] = "ground"
     when: Literal["start", "climb", "flight", "landing"] = "flight"
+    seconds: float = 60.0
+    """The pilot process lands after so long."""
     guard_stays: bool = False
     """The other one flies on, or the vehicle is not heard any more, so that the guard does not leave."""
 
@@ -367,7 +369,7 @@ ATTACKS: dict[str, Attack] = {
     "LOITER and disarmed, 50 times a second each": Attack(always(50, beat(LOITER), beat(armed=False))),
     "random modes, 100 times a second": Attack(random_modes),
     "a whole vehicle that stands": Attack(telemetry(flies=False)),
-    "a whole vehicle that flies in GUIDED": Attack(telemetry(flies=True), guard_stays=True),
+    "a whole vehicle that flies in GUIDED": Attack(telemetry(flies=True), seconds=PASSES_S, guard_stays=True),
     "5000 texts a second in place of telemetry": Attack(texts_in_place_of_telemetry, guard_stays=True),
     "a take-over, beside GUIDED 10 times a second": Attack(take_over_beside_another, "pilot"),
     "a take-over": Attack(take_over, "pilot"),
@@ -400,7 +402,7 @@ def fly(name: str, attack: Attack, start: Callable[[Path], Any]) -> Outcome:
     with tempfile.TemporaryDirectory(prefix="second-vehicle-") as folder, start(Path(folder)) as craft:
         sitl_vehicle.come_first()
         os.environ["XDG_STATE_HOME"] = folder
-        seconds = PASSES_S if attack.end == "flies on" else 60.0
+        seconds = PASSES_S if attack.end == "flies on" else attack.seconds
         log = str(Path(folder) / "flight.tlog")
         code = PILOT.format(tests=str(TESTS), consent=True, log=log, url=craft.url, seconds=seconds)
         pilot = subprocess.Popen(
@@ -469,7 +471,11 @@ def _flown(name: str, attack: Attack, flight: Flight, lines: list[str]) -> Outco
     good = down_s is not None and height < 0.25 and ended_s is not None
     if attack.end == "flies on":
         good = good and words == "landed the flight is over"
-    end = f"on the ground, from {mode}" if down_s is not None and height < 0.25 else f"IN THE AIR, {height:.1f} m"
+    end = (
+        f"on the ground, from {mode}"
+        if down_s is not None and height < 0.25
+        else f"IN THE AIR, {height:.1f} m, in {mode}"
+    )
     end += "" if ended_s is not None else ", the program goes on"
     return Outcome(name, good, end, _rounded(down_s), _rounded(ended_s), words)
 

@@ -294,6 +294,18 @@ def test_one_message_of_the_future_changes_nothing_either_where_the_way_becomes_
     assert health(later, at + 0.05).state_age_s < 0.05
 
 
+def test_a_second_vehicle_whose_clock_is_ahead_is_noticed_and_not_believed():
+    telemetry = GOOD
+    for step in range(1, 30):
+        at = START + step * 0.05
+        own, others = (at, position(at)), (at, position(at + 700, north=50.0))
+        telemetry = reported((at, attitude(at)), own, others, since=telemetry)
+        assert telemetry.position[1] == pytest.approx(0.0)
+        assert bool(health(telemetry, at).intruder) == (step >= 10)
+    assert "two clocks" in health(telemetry, at).intruder
+    assert health(telemetry, at, judges_time=False).intruder == ""
+
+
 @pytest.mark.parametrize("speed", [2, 8, 50])
 def test_a_simulation_that_runs_fast_is_followed(speed):
     telemetry = GOOD

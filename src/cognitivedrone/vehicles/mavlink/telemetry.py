@@ -39,6 +39,8 @@ CLOCK_DRIFT = 0.001
 AHEAD_S, AHEAD_COUNT = 0.1, 5
 """A message so far ahead of the vehicle's clock is another's, or a mistake, until so many in a row say the same: then
 the way here has become faster."""
+STRANGE, STRANGE_S = 10, 2.0
+"""So many messages of another clock in so long are a second vehicle's."""
 JUMP_M_S = 2.0
 """Speed that a position may have beyond what the vehicle reports of its velocity."""
 SIMULATED = b"CogDrone"
@@ -100,6 +102,8 @@ class Telemetry:
     offset_at: float = -math.inf
     ahead: tuple[float, ...] = ()
     """The same of the last messages in a row that came faster, `AHEAD_COUNT` at most: one alone proves nothing."""
+    strange: tuple[float, ...] = ()
+    """When the last messages came whose time is not believed, `STRANGE` at most."""
     clock_restarts: int = 0
     """How many times its time went back."""
     jump_m: float = 0.0
@@ -161,6 +165,11 @@ class Telemetry:
         velocity = self.ekf_variances[0] if self.ekf_variances else 0.0
         # As ArduCopter's own check: two of them, or the velocity at twice the limit. NaN is high.
         return f"it diverges ({', '.join(high)})" if len(high) >= 2 or not velocity < 2 * EKF_MOST else ""
+
+    @property
+    def two_clocks(self) -> bool:
+        """Whether messages of another clock come between the vehicle's."""
+        return len(self.strange) == STRANGE and self.strange[-1] - self.strange[0] <= STRANGE_S
 
     @property
     def heading_velocity(self) -> FloatArray:
@@ -326,5 +335,5 @@ def _timed(t: Telemetry, message: Any, now: float) -> tuple[Telemetry, float | N
     t = replace(t, clock_offset=clock, offset_at=now, ahead=ahead)
     # A simulation that runs fast is ahead by as much with every step; a mistake is so at once.
     if clock - offset > AHEAD_S + (3 * (ahead[0] - ahead[2]) if sure else 0.0):
-        return t, None
+        return replace(t, strange=(*t.strange, now)[-STRANGE:]), None
     return replace(t, vehicle_time=max(time, t.vehicle_time)), time  # messages of one moment come in either order

@@ -125,19 +125,27 @@ def health_of(
         armed=t.armed,
         suspicion=asked.suspicion,
         stick_moved=stick_moved(b.sticks, t.sticks),
-        intruder=intruder(t, traffic, b.taken_at, asked.sent, now),
+        intruder=intruder(t, traffic, b.taken_at, asked.sent, now, judges_time=judges_time),
         speed_limit_m_s=b.speed_limit_m_s,
     )
 
 
 def intruder(
-    telemetry: Telemetry, traffic: Traffic, since: float, sent: Iterable[tuple[float, float]], now: float
+    telemetry: Telemetry,
+    traffic: Traffic,
+    since: float,
+    sent: Iterable[tuple[float, float]],
+    now: float,
+    *,
+    judges_time: bool = True,
 ) -> str:
     """A description of another sender that commands the vehicle or uses its id or ours; empty where there is none."""
     if traffic.commander_at > since:
         return traffic.commander
     if traffic.impostor_at > max(since, now - IMPOSTOR_S):
         return f"{impostor_of(traffic)}: what it reports cannot be trusted"
+    if judges_time and telemetry.two_clocks and telemetry.strange[0] > since:
+        return "messages of two clocks come as the vehicle's: a second vehicle has its id"
     if traffic.masks:
         return f"another ground station has our system id ({traffic.masks[0][0]}): it hides our silence"
     if foreign_target(telemetry, since, sent):
