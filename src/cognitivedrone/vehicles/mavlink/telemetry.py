@@ -329,11 +329,13 @@ def _timed(t: Telemetry, message: Any, now: float) -> tuple[Telemetry, float | N
     if not math.isfinite(t.offset_at):
         return replace(t, vehicle_time=time, clock_offset=now - time, offset_at=now), time
     offset, drifted = now - time, t.clock_offset + CLOCK_DRIFT * (now - t.offset_at)
-    ahead = (*t.ahead, offset)[-AHEAD_COUNT:] if offset < drifted else ()
+    # One that is on time again ends the row.
+    row = t.ahead if not t.ahead or offset <= t.ahead[-1] + AHEAD_S else ()
+    ahead = (*row, offset)[-AHEAD_COUNT:] if offset < drifted else ()
     sure = len(ahead) == AHEAD_COUNT
     clock = max(ahead) if sure else drifted
     t = replace(t, clock_offset=clock, offset_at=now, ahead=ahead)
     # A simulation that runs fast is ahead by as much with every step; a mistake is so at once.
-    if clock - offset > AHEAD_S + (3 * (ahead[0] - ahead[2]) if sure else 0.0):
+    if clock - offset > AHEAD_S + (3 * max(0.0, ahead[0] - ahead[2]) if sure else 0.0):
         return replace(t, strange=(*t.strange, now)[-STRANGE:]), None
     return replace(t, vehicle_time=max(time, t.vehicle_time)), time  # messages of one moment come in either order
