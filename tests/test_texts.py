@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from cognitivedrone.errors import CognitiveDroneError, TaskError
+from cognitivedrone.json_text import NotJSON
 from cognitivedrone.reasoners.prompt import load_prompt
 from cognitivedrone.reasoners.replay import read_answers
 from cognitivedrone.serving.access import token_of
@@ -108,7 +109,7 @@ def test_json_with_what_only_resembles_comments_is_itself(text):
 
 @pytest.mark.parametrize("text", ["[1,,]", "[,]", "[ ,]", "{,}", '["a', "{'a': 1}", "[1] /", '["a //"', ""])
 def test_what_is_not_json_stays_so(text):
-    with pytest.raises(json.JSONDecodeError):
+    with pytest.raises(NotJSON):
         load_json(text)
 
 
@@ -127,7 +128,9 @@ def test_no_file_takes_long(begin, part):
 def test_every_file_of_a_persons_is_read_by_it(tmp_path):
     mark = "\ufeff"
     sixteen = "0123456789abcdef"
-    assert token_of("localhost", written(tmp_path, "token", f"{mark}{sixteen}\r\n".encode("utf-16-le"))) == sixteen
+    token = written(tmp_path, "token", f"{mark}{sixteen}\r\n".encode("utf-16-le"))
+    token.chmod(0o600)
+    assert token_of("localhost", token) == sixteen
     assert load_prompt(written(tmp_path, "prompt", f"{mark}Say {{instruction}}".encode())) == "Say {instruction}"
     answer = json.dumps({"task": "a", "directive": "fly through the red gate"})
     assert [*read_answers(written(tmp_path, "answers", f"{mark}{answer}\r\n".encode("utf-16-le")))] == ["a"]

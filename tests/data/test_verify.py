@@ -273,8 +273,17 @@ def test_pipes_and_sparse_files_in_a_store_are_refused_at_once(store: Path, flig
         if name == "manifest.json":
             with pytest.raises(DataError, match="manifest"):
                 Store.open(store)
-        writer = writer_at(store, resume=True)
-        for number in writer.missing_shards(5):
-            writer.write_shard(number, flights[8 * number : 8 * number + 8], {"collision": number})
-        writer.finish(5)
+        if spoil is os.mkfifo and not name.endswith("1.json"):  # that one goes with its shard
+            with pytest.raises(DataError, match="it is a pipe"):
+                go_on(store, flights)
+            (store / name).unlink()
+        go_on(store, flights)
         assert files_of(store) == whole
+
+
+def go_on(store: Path, flights: list[Episode]) -> None:
+    """Collect again what is missing there."""
+    writer = writer_at(store, resume=True)
+    for number in writer.missing_shards(5):
+        writer.write_shard(number, flights[8 * number : 8 * number + 8], {"collision": number})
+    writer.finish(5)

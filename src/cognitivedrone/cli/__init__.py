@@ -95,16 +95,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command; a user error ends in one sentence and exit code 2, any other error in one and exit code 1."""
     prepare_streams()
     switch_off()
-    if arguments is None:
+    ours = arguments is None  # else we run in a process of somebody else's, whose signals are not ours
+    if ours:
         # Our own Python processes must not import modules that happen to lie in the current folder, such as json.py.
         os.environ.setdefault(SAFE_PATH, "1")
     try:
-        # In a process of somebody else's, the signals are not ours.
-        ending: Ending = ending_in_order if arguments is None else contextlib.nullcontext
+        ending: Ending = ending_in_order if ours else contextlib.nullcontext
         _run(list(sys.argv[1:] if arguments is None else arguments), ending)
         sys.stdout.flush()  # a full disk behind it shows up here, not after the last line
     except CognitiveDroneError as error:
-        if isinstance(error, MissingExtra) and _was_stopped(error):
+        if isinstance(error, MissingExtra) and _was_stopped(error, ours):
             _end("stopped", STOPPED)
         _end(str(error), error.exit_code)
     except BrokenPipeError:
@@ -119,7 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except KeyboardInterrupt as stop:
         _end(str(stop) or "stopped", STOPPED)
     except Exception as error:
-        if _was_stopped(error):
+        if _was_stopped(error, ours):
             _end("stopped", STOPPED)  # ctrl-C in foreign code, such as a compiled module being loaded, which then fails
         _drop_output()
         _end(_unexpected(error), UNEXPECTED)
@@ -140,12 +140,12 @@ def _unexpected(error: Exception) -> str:
     return f"{sentence}; please report it, with the traceback that is in {file.name}"
 
 
-def _was_stopped(error: BaseException) -> bool:
-    """Whether an error is what became of Ctrl-C."""
+def _was_stopped(error: BaseException, ours: bool) -> bool:
+    """Whether an error is what became of Ctrl-C; `ours` if the process is this command's."""
     causes = [error]
     while (cause := causes[-1].__cause__ or causes[-1].__context__) is not None and cause not in causes:
         causes.append(cause)
-    return was_asked() or any(isinstance(cause, KeyboardInterrupt) for cause in causes)
+    return (ours and was_asked()) or any(isinstance(cause, KeyboardInterrupt) for cause in causes)
 
 
 def _run(arguments: list[str], ending: Ending) -> None:

@@ -19,6 +19,7 @@ from fake_gazebo import FakeGazebo
 from moving import PATIENT, Moving, moving
 from sdf_reading import models, read_world
 from studio import Studio, gone, started, studio
+from waiting import soon
 
 from cognitivedrone.cli import main
 from cognitivedrone.errors import GazeboError, LinkError
@@ -288,9 +289,8 @@ def test_a_vehicle_that_is_lost_skips_the_rest(scene, monkeypatch):
 
     def lose(flight: Airborne) -> Finding:
         running.vehicle.pilot(running.vehicle.modes.mode.LAND)
-        running.limit = running.vehicle.time + 0.5  # it must not be on the ground before the mode is noticed
-        while flight.drone.over is None:
-            time.sleep(0.005)
+        running.limit = running.vehicle.time + 4.0  # for three heartbeats, and not for reaching the ground
+        soon(lambda: flight.drone.over is not None)
         running.limit = np.inf
         flight.fly(30.0, (0.0, 0.0, 0.0, 0.0))
         return Finding("")
