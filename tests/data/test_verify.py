@@ -69,6 +69,15 @@ def test_what_is_no_file_or_far_too_large_is_not_waited_for_and_not_read_whole(
         list(Store.open(store).labelled())
 
 
+@pytest.mark.parametrize("name", ["SHA256SUMS", "manifest.json", "tasks.json", SHARD])
+def test_a_file_that_is_a_link_to_the_right_content_is_told(store: Path, name: str) -> None:
+    (store / name).rename(store.parent / "elsewhere")
+    (store / name).symlink_to(store.parent / "elsewhere")
+    [problem] = verify(store)
+    assert problem.file == name
+    assert problem.message.startswith("is a link")
+
+
 @pytest.mark.parametrize("name", ["../outside.json", "/etc/hostname", "shards/../../outside.json"])
 def test_no_file_outside_of_the_store_is_hashed(store: Path, name: str) -> None:
     (store.parent / "outside.json").write_text("{}")

@@ -178,6 +178,9 @@ def _stray_files(root: Path, manifest: dict[str, Any]) -> Iterator[Problem]:
             yield Problem(name, "is not in the manifest")
     for file in sorted((*root.glob(".*.tmp"), *root.glob(f"{SHARDS}/.*.tmp"))):
         yield Problem(file.relative_to(root).as_posix(), "was left by a writer that was killed")
+    for name in sorted(known | {MANIFEST, STATISTICS, SUMS, TASKS}):
+        if (root / name).is_symlink():
+            yield Problem(name, "is a link: its content can change without the data set; put the file itself here")
 
 
 def _episode_problems(manifest: dict[str, Any]) -> Iterator[Problem]:
