@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cognitivedrone.envs.track_runner import TrackConfig
+from cognitivedrone.envs.track_runner import TrackConfig, episode_rng
 from cognitivedrone.errors import AppearanceError, RenderError
 from cognitivedrone.plan import Scenario
 from cognitivedrone.sim.camera import Cameras
+from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import Gate, Stage
 from cognitivedrone.world import places
 from cognitivedrone.world.appearance import PLAIN, expose, photo_appearance
+from cognitivedrone.world.assets import build_assets
 
 STAGE = Stage(
     (Gate("big", "round", "red"), Gate("big", "square", "green"), Gate("small", "triangle", "blue")),
@@ -99,6 +101,38 @@ def test_an_appearance_is_drawn_from_the_generator_alone_and_reaches_every_place
     drawn = [photo_appearance(np.random.default_rng(seed), among) for seed in range(100)]
     assert drawn == [photo_appearance(np.random.default_rng(seed), among) for seed in range(100)]
     assert {each.place for each in drawn} == {*among}
+
+
+def test_in_the_suite_the_place_does_not_tell_the_gate():
+    suite = load_suite("open-v3:places")
+    config = TrackConfig.of(Scenario(place="kept"))
+    right = np.zeros((6, 3))
+    for index, track in enumerate(suite.tracks):
+        there = config.draw(episode_rng(suite.digest, index, 0)).place
+        if track[0].target is not None:
+            right[places.names("kept").index(there), track[0].target] += 1
+    assert right.sum(axis=1).min() > 15, "every place is there"
+    expected = right.sum(axis=1, keepdims=True) * right.sum(axis=0, keepdims=True) / right.sum()
+    assert ((right - expected) ** 2 / expected).sum() < 23.2, "chi-square with 10 degrees of freedom, 1 %"
+
+
+def test_cameras_have_textures_for_the_places_that_they_can_show_at_once():
+    poses = [[-1.0, 0.0, 0.75]], [[1.0, 0.0, 0.0, 0.0]]
+    drawn = {}
+    with Cameras(1) as one, Cameras(3) as three:
+        for name in ("hall", "lab", "hall", "park", "venice", "lobby", "hall"):
+            look = photo_appearance(np.random.default_rng(1), [name])
+            one.set_stage(0, STAGE, PICTURES, appearance=look)
+            drawn.setdefault(name, one.first_person(*poses).copy())
+            assert (one.first_person(*poses) == drawn[name]).all()
+        for slot, name in enumerate(("hall", "lab", "park")):
+            look = photo_appearance(np.random.default_rng(1), [name])
+            three.set_stage(slot, STAGE, PICTURES, appearance=look)
+        three.set_stage(1, STAGE, PICTURES, appearance=photo_appearance(np.random.default_rng(1), ["venice"]))
+        for slot, name in enumerate(("hall", "venice", "park")):
+            assert (three.first_person(*poses, slots=[slot]) == drawn[name]).all(), name
+    assert len(build_assets(1, 64).places) == 1
+    assert len(build_assets(40, 64).places) == len(places.names())
 
 
 def test_a_place_is_drawn_the_same_each_time_and_only_where_it_is_asked_for():
