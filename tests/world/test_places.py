@@ -229,11 +229,73 @@ def test_panoramas_of_every_kind_are_read(tmp_path, mode):
     assert np.ptp(pixels) > 50
 
 
-@pytest.mark.parametrize("value", [0, 255])
-def test_a_place_of_one_colour_is_flown(tmp_path, value):
+@pytest.mark.parametrize(("value", "said"), [(0, "all black"), (255, "all white"), (90, "all of one colour")])
+def test_a_place_of_one_colour_is_refused(tmp_path, value, said):
     Image.new("RGB", (256, 128), (value,) * 3).save(tmp_path / "mine.png")
+    with pytest.raises(AppearanceError, match=f"{said}, so it shows no place; take it again"):
+        places.load_place(str(tmp_path / "mine.png"))
+
+
+@pytest.mark.parametrize("dark", [0, 240])
+def test_a_place_that_is_almost_black_or_white_is_flown(tmp_path, dark):
+    pixels = np.full((128, 256, 3), dark, np.uint8)
+    pixels[80:] += 15
+    Image.fromarray(pixels).save(tmp_path / "mine.png")
     look = photo_appearance(np.random.default_rng(0), [str(tmp_path / "mine.png")])
     assert np.isfinite([*look.light_direction, *look.ambient_color, *look.light_color]).all()
+
+
+def test_two_fish_eye_pictures_side_by_side_are_no_panorama(tmp_path):
+    y, x = np.mgrid[-1:1:256j, -1:1:256j]
+    half = np.where((x**2 + y**2 < 0.98)[..., None], 140, 0).astype(np.uint8).repeat(3, axis=2)
+    Image.fromarray(np.hstack([half, half])).save(tmp_path / "mine.jpg")
+    with pytest.raises(AppearanceError, match=r"two fish-eye pictures .* export it .* as an equirectangular"):
+        places.load_place(str(tmp_path / "mine.jpg"))
+    night = np.zeros((256, 512, 3), np.uint8)  # a black sky is no ring around a circle
+    night[140:] = 90
+    Image.fromarray(night).save(tmp_path / "night.png")
+    places.load_place(str(tmp_path / "night.png"))
+
+
+def test_a_file_of_200_megabytes_is_refused_before_it_is_read(tmp_path):
+    with (tmp_path / "mine.jpg").open("wb") as file:
+        file.write(b"\xff\xd8\xff")
+        file.truncate(200_000_000)
+    with pytest.raises(AppearanceError, match=r"mine.jpg cannot be read: .*100"):
+        places.load_place(str(tmp_path / "mine.jpg"))
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"\x76\x2f\x31\x01" + bytes(100), "high dynamic range; save it as PNG or JPEG"),
+        (b"#?RADIANCE\n", "high dynamic range; save it as PNG or JPEG"),
+        (bytes([0, 0, 0, 24]) + b"ftypisom" + bytes(100), "a video; save one frame of it"),
+        (b"RIFF\0\0\0\0AVI ", "a video; save one frame of it"),
+    ],
+)
+def test_a_picture_of_half_floats_and_a_video_are_refused_with_the_way_out(tmp_path, content, said):
+    (tmp_path / "mine.jpg").write_bytes(content)
+    with pytest.raises(AppearanceError, match=said):
+        places.load_place(str(tmp_path / "mine.jpg"))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_pixels_that_are_no_numbers_are_refused(tmp_path, value):
+    """A picture of 32-bit floating point under any name: its white is unknown, and it may hold NaN and infinities."""
+    pixels = np.full((128, 256), 0.5, np.float32)
+    pixels[10, 10] = value
+    Image.fromarray(pixels).save(tmp_path / "mine.tif")
+    with pytest.raises(AppearanceError, match="TIFF picture"):
+        places.load_place(str(tmp_path / "mine.tif"))
+
+
+def test_half_floats_of_the_package_of_panoramas_are_mended_when_the_places_are_built():
+    for name in places.names():
+        pixels = places.load_place(name).pixels.astype(int)
+        around = np.stack([np.roll(pixels, shift, axis=(0, 1)) for shift in ((0, 2), (0, -2), (2, 0), (-2, 0))])
+        holes = (pixels.max(axis=2) < 8) & (around.min(axis=(0, 3)) > 220)
+        assert not holes[4:-4].any(), name
 
 
 def test_a_place_alone_asks_for_photographs_and_contradictions_are_refused():
