@@ -18,6 +18,8 @@ from cognitivedrone.benchmark.scores.scoring import wilson
 from cognitivedrone.cli import main, scoring
 from cognitivedrone.errors import RunError
 from cognitivedrone.plan import PilotSpec, TaskSource
+from cognitivedrone.types import StageResult
+from cognitivedrone.world import places
 
 
 def plan_of(tmp_path, *only, policy="oracle", reasoner="none", episodes=2):
@@ -66,6 +68,8 @@ def test_too_few_flights_are_neither_sound_nor_not(tmp_path):
         ("as before", 69, 100, False),
         ("follows", 91, 100, True),  # the interval reaches 95 %
         ("follows", 88, 100, False),
+        ("same choice", 91, 100, True),
+        ("same choice", 88, 100, False),
         ("chance", 49, 100, True),  # the interval reaches 40 %
         ("chance", 50, 100, False),
         ("chance", 18, 100, True),
@@ -74,6 +78,31 @@ def test_too_few_flights_are_neither_sound_nor_not(tmp_path):
 )
 def test_what_a_row_must_reach(expected, right, n, sound):
     assert is_sound(expected, right / n, wilson(right, n), 0.8) is sound
+
+
+def stage(task_id, chosen, outcome="passed"):
+    return StageResult(task_id, "reasoning", "food", 0, outcome, chosen, 5.0, 6.0, None, None, None)
+
+
+def test_the_same_choice_is_that_of_the_plain_room_right_or_wrong():
+    (another,) = (each for each in AUDITS if each.name == "another place")
+    before = {"a": stage("a", 0), "b": stage("b", 1, "wrong_gate"), "c": stage("c", 2)}
+    there = [stage("a", 0), stage("b", 1, "wrong_gate"), stage("c", 0), stage("not flown before", 0)]
+    row = run_module._row(another, another.variants[0], there, before)
+    assert (row.n, row.rate, row.baseline) == (3, 2 / 3, 2 / 3)
+
+
+def test_places_are_flown_and_known_by_their_names(tmp_path):
+    rows = audit(plan_of(tmp_path, "another place", "place alone", episodes=1), progress=False)
+    assert [(row.audit, row.variant) for row in rows[1:]] == [
+        ("another place", "forest"), ("another place", "warehouse"), ("another place", "city"),
+        ("place alone", "blank"),
+    ]  # fmt: skip
+    assert [row.rate for row in rows] == [1.0] * 5
+    run = json.loads((tmp_path / "audit" / "another-place-forest" / "run.json").read_text())
+    assert (run["options"]["appearance"], run["options"]["place"]) == ("photo", "forest")
+    kept = {variant.options["place"] for each in AUDITS for variant in each.variants if "place" in variant.options}
+    assert kept <= {"kept", *places.names("kept")}
 
 
 def test_options_and_cameras_reach_the_flight(tmp_path):

@@ -16,6 +16,7 @@ from cognitivedrone.data.episode import decode_image
 from cognitivedrone.errors import DataError, PolicyError
 from cognitivedrone.policies.baselines import Hover
 from cognitivedrone.tasks import BASE_FAMILIES, load_suite
+from cognitivedrone.world import places
 
 SUITE = load_suite("open-v1:train", size=40)
 ROBUST = replace(RECIPES["robust"], kicks_per_s=0.6, wrongs_per_s=0.6, speed_m_s=(2.0, 2.5))
@@ -60,6 +61,22 @@ def test_an_episode_does_not_depend_on_its_company(clean):
 def test_a_disturbed_episode_does_not_depend_on_its_company(disturbed):
     (alone,) = fly(ROBUST, [3], 1)
     assert_same(alone, disturbed[3])
+
+
+def test_half_of_the_robust_flights_are_in_places_that_models_are_trained_in(disturbed):
+    there = [episode.conditions.place for episode in disturbed]
+    assert 0 < sum(map(bool, there)) < len(there)
+    assert {*there} <= {"", *places.names("training")}
+    for episode in disturbed:
+        assert episode.conditions.look == ("photo" if episode.conditions.place else "varied")
+        colors = np.unique(decode_image(episode.images[0]).reshape(-1, 3), axis=0)
+        assert len(colors) > 1000 or not episode.conditions.place
+
+
+def test_recipes_without_places_are_told_of_as_before(clean):
+    assert "places" not in RECIPES["paper"].facts()
+    assert RECIPES["robust"].facts()["places"] == 0.5
+    assert all("place" not in episode.conditions.facts() for episode in clean)
 
 
 def test_another_seed_is_another_flight(clean):

@@ -3,7 +3,7 @@
 import re
 import resource
 import weakref
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +14,15 @@ from cognitivedrone.data.episode import Episode, Split, decode_image
 from cognitivedrone.data.formats import EXPORTS, IMPORTS, export, import_
 from cognitivedrone.errors import DataError
 
-FLIGHTS: list[tuple[Split, Episode]] = [
-    ("val" if index % 3 == 1 else "train", make_episode(index, 2, encoding="jpeg")) for index in range(10)
-]
+
+def made(index: int) -> Episode:
+    """A flight; every fourth one was in a photographed place."""
+    episode = make_episode(index, 2, encoding="jpeg")
+    there = replace(episode.conditions, look="photo", place="hall")
+    return replace(episode, conditions=there) if index % 4 == 2 else episode
+
+
+FLIGHTS: list[tuple[Split, Episode]] = [("val" if index % 3 == 1 else "train", made(index)) for index in range(10)]
 
 
 class Tracked(np.ndarray):
@@ -46,6 +52,15 @@ def test_an_export_comes_back_to_the_bit(tmp_path, to):
             assert np.abs(decode_image(one).astype(int) - decode_image(other)).mean() < 4
         images, encoding = (after.images, after.encoding) if to.endswith("-video") else (before.images, before.encoding)
         assert_same_episode(after, replace(before, images=images, encoding=encoding))
+
+
+@pytest.mark.parametrize("to", EXPORTS)
+def test_records_from_before_there_were_places_are_read(tmp_path, to):
+    split, episode = FLIGHTS[0]
+    before = {name: value for name, value in asdict(episode.conditions).items() if name != "place"}
+    assert episode.conditions.facts() == before
+    export([(split, episode)], to, tmp_path / "set")
+    assert [back.conditions.place for _, back in import_(tmp_path / "set", reader_of(to))] == [""]
 
 
 @pytest.mark.parametrize("to", EXPORTS)

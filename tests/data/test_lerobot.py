@@ -57,7 +57,7 @@ def test_info_counts_and_declares_every_column(exported):
     assert info["splits"] == {"train": "0:3", "val": "3:4"}
     schema = pq.read_schema(exported / DATA)
     assert schema.names == list(info["features"])
-    assert {"directive", "category", "family", "correct_gate", "seed"} <= set(schema.names)
+    assert {"directive", "category", "family", "place", "correct_gate", "seed"} <= set(schema.names)
 
 
 def test_a_plain_reader_finds_the_types_of_the_columns_and_the_files_of_the_splits(exported, exported_video):

@@ -21,12 +21,14 @@ from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.racing import INSTRUCTIONS
 from cognitivedrone.training.language.questions import Question, ask
 from cognitivedrone.training.perception.attributes import gate_looks
-from cognitivedrone.training.recipes import RECIPES
+from cognitivedrone.training.recipes import ALL_RECIPES, RECIPES
 from cognitivedrone.training.small_vla import sampling, stream
 from cognitivedrone.training.small_vla.sampling import LONGEST, NONE_IN_VIEW, Sampler, SampleSource, StreamRecipe
 from cognitivedrone.training.small_vla.stream import RolloutStream
 from cognitivedrone.training.trainer.training_task import Batch
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Task
+from cognitivedrone.world.appearance import photo_appearance
+from cognitivedrone.world.places import names
 
 RECIPE = RECIPES["debug"].stream
 LOOKS = (*COLORS, *SHAPES, *SIZES)
@@ -131,6 +133,28 @@ def test_a_batch_has_its_layout(encoder: Path) -> None:
     assert {name: (values.dtype, values.shape) for name, values in batch.items()} == expected
     assert all(np.isfinite(values).all() for values in batch.values())
     assert batch["image"].std() > 10
+
+
+def test_a_share_of_the_flights_is_in_places_that_models_are_trained_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[str, ...]] = []
+    monkeypatch.setattr(
+        stream, "photo_appearance", lambda rng, among: asked.append(among) or photo_appearance(rng, among)
+    )
+    (batch,) = batches(replace(RECIPE, places=1.0, worlds=2), 1)
+    assert len(asked) >= 2
+    assert {*asked} == {names("training")}
+    assert all(len(np.unique(image.reshape(-1, 3), axis=0)) > 2000 for image in batch["image"])
+    asked.clear()
+    batches(RECIPE, 1)
+    assert not asked
+
+
+def test_recipes_of_before_see_no_places() -> None:
+    assert {name for name, each in ALL_RECIPES.items() if _sees_places(each)} == {"places", "reader-places"}
+
+
+def _sees_places(recipe: Any) -> bool:
+    return getattr(recipe, "places", 0.0) > 0 or getattr(getattr(recipe, "stream", None), "places", 0.0) > 0
 
 
 def test_words_are_those_of_the_encoder_and_nothing_beyond(encoder: Path) -> None:

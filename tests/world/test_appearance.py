@@ -66,6 +66,40 @@ def test_noise_saturates_instead_of_wrapping() -> None:
     assert image[16:].min() > 195
 
 
+@pytest.mark.parametrize("noise", [0.3, 4.0, 60.0])
+def test_noise_is_added_as_whole_numbers_and_cut_at_0_and_255(noise: float) -> None:
+    """In plain arithmetic, from the table that is the same for all pictures."""
+    image = np.random.default_rng(1).integers(0, 256, (256, 200, 3), dtype=np.uint8)
+    table = np.random.default_rng(0).standard_normal((512, 512, 3), dtype=np.float32) * noise
+    grain = np.clip(np.round(table), -128, 127).astype(int)
+    for key in range(3):
+        top, left = np.random.default_rng((9, key)).integers(0, 512, 2)
+        wanted = np.clip(image + np.roll(grain, (-top, -left), axis=(0, 1))[:256, :200], 0, 255)
+        seen = image.copy()
+        expose(seen, dataclasses.replace(PLAIN, noise=noise, seed=9), key)
+        np.testing.assert_array_equal(seen, wanted)
+
+
+def test_blur_is_the_mean_of_neighbours_in_a_row() -> None:
+    image = np.random.default_rng(1).integers(0, 256, (20, 64, 3), dtype=np.uint8)
+    for pixels, width in ((0.6, 2), (2.0, 4), (20.0, 8)):
+        seen = image.copy()
+        expose(seen, PLAIN, 0, pixels)
+        wanted = np.mean([image[:, 8 - step : 64 - step] for step in range(width)], axis=0)
+        assert np.abs(seen[:, 8:] - wanted).max() <= 3  # each of up to three means is rounded down
+    seen = image.copy()
+    expose(seen, PLAIN, 0, 0.4)
+    np.testing.assert_array_equal(seen, image)
+
+
+def test_a_lens_moves_whole_pixels_towards_the_middle_or_away() -> None:
+    image = np.random.default_rng(1).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+    seen = image.copy()
+    expose(seen, dataclasses.replace(PLAIN, distortion=0.06), 0)
+    np.testing.assert_array_equal(seen[30:34, 30:34], image[30:34, 30:34])
+    assert {*map(tuple, seen.reshape(-1, 3))} <= {*map(tuple, image.reshape(-1, 3))}
+
+
 def test_exposure() -> None:
     image = np.array([[[0, 100, 255]]], np.uint8)
     expose(image, dataclasses.replace(PLAIN, gain=0.9, gamma=1.2), 0)

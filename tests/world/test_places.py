@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cognitivedrone.envs.track_runner import TrackConfig
+from cognitivedrone.envs.track_runner import TrackConfig, episode_rng
 from cognitivedrone.errors import AppearanceError, RenderError
 from cognitivedrone.plan import Scenario
 from cognitivedrone.sim.camera import Cameras
+from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import Gate, Stage
 from cognitivedrone.world import places
 from cognitivedrone.world.appearance import PLAIN, expose, photo_appearance
+from cognitivedrone.world.assets import build_assets
 
 STAGE = Stage(
     (Gate("big", "round", "red"), Gate("big", "square", "green"), Gate("small", "triangle", "blue")),
@@ -99,6 +101,38 @@ def test_an_appearance_is_drawn_from_the_generator_alone_and_reaches_every_place
     drawn = [photo_appearance(np.random.default_rng(seed), among) for seed in range(100)]
     assert drawn == [photo_appearance(np.random.default_rng(seed), among) for seed in range(100)]
     assert {each.place for each in drawn} == {*among}
+
+
+def test_in_the_suite_the_place_does_not_tell_the_gate():
+    suite = load_suite("open-v3:places")
+    config = TrackConfig.of(Scenario(place="kept"))
+    right = np.zeros((6, 3))
+    for index, track in enumerate(suite.tracks):
+        there = config.draw(episode_rng(suite.digest, index, 0)).place
+        if track[0].target is not None:
+            right[places.names("kept").index(there), track[0].target] += 1
+    assert right.sum(axis=1).min() > 15, "every place is there"
+    expected = right.sum(axis=1, keepdims=True) * right.sum(axis=0, keepdims=True) / right.sum()
+    assert ((right - expected) ** 2 / expected).sum() < 23.2, "chi-square with 10 degrees of freedom, 1 %"
+
+
+def test_cameras_have_textures_for_the_places_that_they_can_show_at_once():
+    poses = [[-1.0, 0.0, 0.75]], [[1.0, 0.0, 0.0, 0.0]]
+    drawn = {}
+    with Cameras(1) as one, Cameras(3) as three:
+        for name in ("hall", "lab", "hall", "park", "venice", "lobby", "hall"):
+            look = photo_appearance(np.random.default_rng(1), [name])
+            one.set_stage(0, STAGE, PICTURES, appearance=look)
+            drawn.setdefault(name, one.first_person(*poses).copy())
+            assert (one.first_person(*poses) == drawn[name]).all()
+        for slot, name in enumerate(("hall", "lab", "park")):
+            look = photo_appearance(np.random.default_rng(1), [name])
+            three.set_stage(slot, STAGE, PICTURES, appearance=look)
+        three.set_stage(1, STAGE, PICTURES, appearance=photo_appearance(np.random.default_rng(1), ["venice"]))
+        for slot, name in enumerate(("hall", "venice", "park")):
+            assert (three.first_person(*poses, slots=[slot]) == drawn[name]).all(), name
+    assert len(build_assets(1, 64).places) == 1
+    assert len(build_assets(40, 64).places) == len(places.names())
 
 
 def test_a_place_is_drawn_the_same_each_time_and_only_where_it_is_asked_for():
@@ -195,11 +229,73 @@ def test_panoramas_of_every_kind_are_read(tmp_path, mode):
     assert np.ptp(pixels) > 50
 
 
-@pytest.mark.parametrize("value", [0, 255])
-def test_a_place_of_one_colour_is_flown(tmp_path, value):
+@pytest.mark.parametrize(("value", "said"), [(0, "all black"), (255, "all white"), (90, "all of one colour")])
+def test_a_place_of_one_colour_is_refused(tmp_path, value, said):
     Image.new("RGB", (256, 128), (value,) * 3).save(tmp_path / "mine.png")
+    with pytest.raises(AppearanceError, match=f"{said}, so it shows no place; take it again"):
+        places.load_place(str(tmp_path / "mine.png"))
+
+
+@pytest.mark.parametrize("dark", [0, 240])
+def test_a_place_that_is_almost_black_or_white_is_flown(tmp_path, dark):
+    pixels = np.full((128, 256, 3), dark, np.uint8)
+    pixels[80:] += 15
+    Image.fromarray(pixels).save(tmp_path / "mine.png")
     look = photo_appearance(np.random.default_rng(0), [str(tmp_path / "mine.png")])
     assert np.isfinite([*look.light_direction, *look.ambient_color, *look.light_color]).all()
+
+
+def test_two_fish_eye_pictures_side_by_side_are_no_panorama(tmp_path):
+    y, x = np.mgrid[-1:1:256j, -1:1:256j]
+    half = np.where((x**2 + y**2 < 0.98)[..., None], 140, 0).astype(np.uint8).repeat(3, axis=2)
+    Image.fromarray(np.hstack([half, half])).save(tmp_path / "mine.jpg")
+    with pytest.raises(AppearanceError, match=r"two fish-eye pictures .* export it .* as an equirectangular"):
+        places.load_place(str(tmp_path / "mine.jpg"))
+    night = np.zeros((256, 512, 3), np.uint8)  # a black sky is no ring around a circle
+    night[140:] = 90
+    Image.fromarray(night).save(tmp_path / "night.png")
+    places.load_place(str(tmp_path / "night.png"))
+
+
+def test_a_file_of_200_megabytes_is_refused_before_it_is_read(tmp_path):
+    with (tmp_path / "mine.jpg").open("wb") as file:
+        file.write(b"\xff\xd8\xff")
+        file.truncate(200_000_000)
+    with pytest.raises(AppearanceError, match=r"mine.jpg cannot be read: .*100"):
+        places.load_place(str(tmp_path / "mine.jpg"))
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"\x76\x2f\x31\x01" + bytes(100), "high dynamic range; save it as PNG or JPEG"),
+        (b"#?RADIANCE\n", "high dynamic range; save it as PNG or JPEG"),
+        (bytes([0, 0, 0, 24]) + b"ftypisom" + bytes(100), "a video; save one frame of it"),
+        (b"RIFF\0\0\0\0AVI ", "a video; save one frame of it"),
+    ],
+)
+def test_a_picture_of_half_floats_and_a_video_are_refused_with_the_way_out(tmp_path, content, said):
+    (tmp_path / "mine.jpg").write_bytes(content)
+    with pytest.raises(AppearanceError, match=said):
+        places.load_place(str(tmp_path / "mine.jpg"))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_pixels_that_are_no_numbers_are_refused(tmp_path, value):
+    """A picture of 32-bit floating point under any name: its white is unknown, and it may hold NaN and infinities."""
+    pixels = np.full((128, 256), 0.5, np.float32)
+    pixels[10, 10] = value
+    Image.fromarray(pixels).save(tmp_path / "mine.tif")
+    with pytest.raises(AppearanceError, match="TIFF picture"):
+        places.load_place(str(tmp_path / "mine.tif"))
+
+
+def test_half_floats_of_the_package_of_panoramas_are_mended_when_the_places_are_built():
+    for name in places.names():
+        pixels = places.load_place(name).pixels.astype(int)
+        around = np.stack([np.roll(pixels, shift, axis=(0, 1)) for shift in ((0, 2), (0, -2), (2, 0), (-2, 0))])
+        holes = (pixels.max(axis=2) < 8) & (around.min(axis=(0, 3)) > 220)
+        assert not holes[4:-4].any(), name
 
 
 def test_a_place_alone_asks_for_photographs_and_contradictions_are_refused():

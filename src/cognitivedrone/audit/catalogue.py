@@ -10,9 +10,10 @@ from cognitivedrone.audit import missions, scenes
 from cognitivedrone.audit.missions import TrackChange
 from cognitivedrone.audit.scenes import Change
 
-Expected = Literal["as before", "follows", "chance"]
+Expected = Literal["as before", "follows", "same choice", "chance"]
 """`as before`: the rate falls by at most `FALL`. `follows`: the gate that is now right, in at least `FOLLOWED` of the
-flights. `chance`: of the flights that chose a gate, a third at the right one, to within `CHANCE_BAND`."""
+flights. `same choice`: the gate that was chosen before, right or wrong, in at least as many. `chance`: of the flights
+that chose a gate, a third at the right one, to within `CHANCE_BAND`."""
 
 FALL, FOLLOWED, CHANCE_BAND = 0.10, 0.95, 0.07
 
@@ -116,6 +117,18 @@ AUDITS: tuple[Audit, ...] = (
         "Gates aside, turned, higher or lower.",
         "as before",
         tuple(Variant(f"up to {share * 1.5:.1f} m", scenes.moved_gates(share)) for share in (1 / 3, 2 / 3, 1.0)),
+    ),
+    Audit(
+        "another place",
+        "In three photographed places, does it choose the gate that it chose in the plain room?",
+        "same choice",
+        tuple(Variant(place, options={"place": place}) for place in ("forest", "warehouse", "city")),
+    ),
+    Audit(
+        "place alone",
+        "In a photographed place without a meaningful sentence, does it find the right gate? Then the place tells.",
+        "chance",
+        (Variant("blank", scenes.blank, options={"place": "kept"}),),
     ),
     Audit(
         "light",

@@ -20,6 +20,7 @@ PAGE_FILE: Final = "audit.html"
 EXPECTED: Final = {
     "as before": "the rate falls by at most 10 points",
     "follows": "at least 95 %, or an interval that reaches it",
+    "same choice": "the same gate as before in at least 95 %, or an interval that reaches it",
     "chance": "33 %, to 7 points, or an interval that reaches that",
 }
 VERDICTS: Final = {True: "yes", False: "NO", None: "too few"}

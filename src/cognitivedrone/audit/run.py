@@ -46,7 +46,8 @@ class Row:
     n: int
     """Flights counted; a change that does not fit a task leaves it out."""
     rate: float | None
-    """Share that flew through the right gate; for `chance`, among the flights that chose a gate."""
+    """Share that flew through the right gate; for `chance`, among the flights that chose a gate; for `same choice`,
+    share that chose the gate that was chosen before."""
     ci95: Interval | None
     baseline: float | None
     """The pilot's rate on the same tasks as they are."""
@@ -81,14 +82,14 @@ def audit(plan: AuditPlan, *, progress: bool = True) -> list[Row]:
     screen = console(stderr=True, quiet=not progress)
     screen.print(f"audit 1/{len(runs) + 1}: baseline, {BASELINE}")
     before = _fly(plan, folder / "baseline", tracks, Variant(BASELINE), progress)
-    passed = {stage.task_id: stage.outcome == "passed" for stage in _stages(before)}
-    rows = [_row(Audit("baseline", "", "as before", ()), Variant(BASELINE), _stages(before), passed)]
+    usual = {stage.task_id: stage for stage in _stages(before)}
+    rows = [_row(Audit("baseline", "", "as before", ()), Variant(BASELINE), _stages(before), usual)]
     _write(folder, plan, suite, rows)
     for number, (each, variant, changed) in enumerate(runs, start=2):
         screen.print(f"audit {number}/{len(runs) + 1}: {each.name}, {variant.name}")
         name = safe_name(re.sub(r"\W+", "-", f"{each.name}-{variant.name}").strip("-"))
         results = _fly(plan, folder / name, changed, variant, progress)
-        rows.append(_row(each, variant, _stages(results), passed))
+        rows.append(_row(each, variant, _stages(results), usual))
         _write(folder, plan, suite, rows)
     return rows
 
@@ -174,16 +175,22 @@ def _stages(results: Results) -> list[StageResult]:
     return [stage for episode in results.episodes for stage in episode.stages if stage.outcome != "invalid"]
 
 
-def _row(each: Audit, variant: Variant, stages: list[StageResult], before: dict[str, bool]) -> Row:
+def _row(each: Audit, variant: Variant, stages: list[StageResult], before: Mapping[str, StageResult]) -> Row:
+    """`before` are the stages of the baseline, by task."""
     declined = sum(stage.outcome == "false_alarm" for stage in stages)
-    counted = [stage for stage in stages if stage.chosen is not None] if each.expected == "chance" else stages
-    right = sum(
-        stage.chosen == stage.target if each.expected == "chance" else stage.outcome == "passed" for stage in counted
-    )
+    usual = [before[stage.task_id] for stage in stages if stage.task_id in before]
+    counted = stages
+    if each.expected == "chance":
+        counted = [stage for stage in stages if stage.chosen is not None]
+        right = sum(stage.chosen == stage.target for stage in counted)
+    elif each.expected == "same choice":  # of a mission's stages, only those that were flown before as well
+        counted = [stage for stage in stages if stage.task_id in before]
+        right = sum(stage.chosen == was.chosen for stage, was in zip(counted, usual, strict=True))
+    else:
+        right = sum(stage.outcome == "passed" for stage in stages)
     ci95, n = wilson(right, len(counted)), len(counted)
     rate = right / n if n else None
-    usual = [before[stage.task_id] for stage in stages if stage.task_id in before]
-    baseline = sum(usual) / len(usual) if usual else None
+    baseline = sum(stage.outcome == "passed" for stage in usual) / len(usual) if usual else None
     places = [stage.chosen for stage in stages]
     chosen = places.count(0), places.count(1), places.count(2), places.count(None)
     enough = len(stages) >= FEWEST_FLIGHTS and (n == 0 or n >= FEWEST_FLIGHTS)
@@ -200,7 +207,7 @@ def is_sound(expected: Expected, rate: float | None, ci95: Interval | None, base
     low, high = ci95
     if expected == "chance":
         return low <= CHANCE + CHANCE_BAND and high >= CHANCE - CHANCE_BAND
-    if expected == "follows":
+    if expected in ("follows", "same choice"):
         return high >= FOLLOWED
     return baseline is None or round(baseline - rate, 9) <= FALL  # 0.8 - 0.7 is more than 0.1 in floating point
 

@@ -131,8 +131,9 @@ def audit(plan: Annotated[Flat[AuditPlan], tyro.conf.arg(name="")]) -> None:
     """Fly a pilot again and again with one thing changed, to see why it passes a benchmark.
 
     No question or a meaningless one, another question about the same scene, panels, the gates' appearance or the order
-    of a mission swapped, a mirrored stage, paraphrases, gates moved, light, wind, a shifted or turned camera, latency.
-    All audits are 35 runs of up to --episodes flights each, 3,500 by default; fewer than 30 flights are too few to
+    of a mission swapped, a mirrored stage, paraphrases, gates moved, photographed places, light, wind, a shifted or
+    turned camera, latency.
+    All audits are 39 runs of up to --episodes flights each, 3,900 by default; fewer than 30 flights are too few to
     tell. Writes audit.json and audit.html; a stopped audit continues when it is started again. Examples:
 
       cognitivedrone audit --policy small --reasoner small

@@ -28,6 +28,8 @@ from cognitivedrone.sim.airframe import AIRFRAMES
 from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.tasks import Suite
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Action, EpisodeContext, FloatArray, Image, Observation, Outcome
+from cognitivedrone.world.appearance import photo_appearance
+from cognitivedrone.world.places import names
 
 AIRFRAME = "racer"
 WORLDS = 16
@@ -151,7 +153,10 @@ class Fleet:
         speed = float(rng.uniform(*self.recipe.speed_m_s))
         disturbances = draw_disturbances(rng, self.recipe)
         learner = self._learners[world] if self._learners else None
-        track_runner.begin(self.suite.tracks[index], rng, start)
+        # A recipe without places draws nothing for them: its flights stay as they are, to the bit.
+        there = self.recipe.places > 0.0 and rng.random() < self.recipe.places
+        appearance = photo_appearance(rng, names("training")) if there else None
+        track_runner.begin(self.suite.tracks[index], rng, start, appearance)
         expert = Expert(ExpertConfig(speed_m_s=speed))
         context = EpisodeContext(track_runner.task.instruction, ground_truth=track_runner.truth())
         expert.reset(context)
@@ -202,13 +207,14 @@ class Fleet:
         flight.quaternion.append(state.quaternion)
 
     def _episode(self, world: int, flight: _Flight) -> Episode:
-        start = self._worlds.runners[world].start
+        start, place = self._worlds.runners[world].start, self._worlds.runners[world].appearance.place
+        look = "photo" if place else self.recipe.look
         velocity, height, yaw_rate = zip(*flight.proprioception, strict=True)
         return Episode(
             index=flight.index,
             suite=self.suite.name,
             task=self.suite.tracks[flight.index][0],
-            conditions=Conditions(self.seed, AIRFRAME, self.recipe.look, start.position, start.yaw, start.wind),
+            conditions=Conditions(self.seed, AIRFRAME, look, start.position, start.yaw, start.wind, place),
             encoding=self.recipe.encoding,
             images=tuple(flight.images),
             action=np.array(flight.action, dtype=np.float32),

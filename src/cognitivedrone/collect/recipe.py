@@ -21,6 +21,8 @@ class Recipe:
     """The expert's speed, drawn uniformly from this range for each flight."""
     look: AppearanceName = "plain"
     """`plain` as published, or `varied`: floor, walls, light, colours and camera noise."""
+    places: float = 0.0
+    """Share of flights in a photographed place instead; only in those that models are trained in."""
     off_track_share: float = 0.0
     """Share of flights that begin off the straight line to the gate instead of in the published box."""
     wind_m_s: float = 0.0
@@ -45,8 +47,9 @@ class Recipe:
     time_limit_s: float = 30.0
 
     def facts(self) -> dict[str, Any]:
-        """The recipe as plain JSON values."""
-        return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
+        """The recipe as plain JSON values; without `places` if there are none, as in sets of before."""
+        facts = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
+        return {name: value for name, value in facts.items() if name != "places" or value}
 
 
 # PNG is lossless. For plain frames it is smaller than JPEG of quality 95 (5.9 against 9.8 KB a frame); for varied
@@ -57,6 +60,7 @@ RECIPES: dict[str, Recipe] = {
         "robust",
         episodes=8062,
         look="varied",
+        places=0.5,
         off_track_share=0.3,
         wind_m_s=2.0,
         kicks_per_s=0.15,
@@ -66,7 +70,7 @@ RECIPES: dict[str, Recipe] = {
     "debug": Recipe("debug", episodes=20, kicks_per_s=0.2, encoding="jpeg", quality=75),
 }
 """`paper`: clean flights from the published starts, as many as in the published set. `robust`: perturbed by kicks,
-wrong commands and wind, with varied appearance. `debug`: a few small episodes."""
+wrong commands and wind, with varied appearance, half of them in photographed places. `debug`: a few small episodes."""
 
 
 def find_recipe(name: str) -> Recipe:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from io import BytesIO
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float32, Float64
@@ -34,6 +34,12 @@ class Conditions:
     """rad."""
     wind: tuple[float, float, float]
     """Steady, world, m/s."""
+    place: str = ""
+    """Where it was flown if `look` is "photo": a shipped place's name."""
+
+    def facts(self) -> dict[str, Any]:
+        """As JSON values; without a place if there is none, as in records of before."""
+        return {name: value for name, value in asdict(self).items() if name != "place" or value}
 
 
 @dataclass(frozen=True, slots=True)

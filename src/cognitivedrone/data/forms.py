@@ -62,6 +62,7 @@ class _Conditions:
     start_position: tuple[float, float, float]
     start_yaw: float
     wind: tuple[float, float, float]
+    place: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,6 @@ import contextlib
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -206,7 +205,7 @@ def _facts(episode: Episode) -> dict[str, Any]:
         "length": len(episode),
         "suite": episode.suite,
         "encoding": episode.encoding,
-        "conditions": asdict(episode.conditions),
+        "conditions": episode.conditions.facts(),
         "final_position": episode.final_position.tolist(),
         "task": task_to_json(episode.task),
     }

@@ -26,6 +26,7 @@ from cognitivedrone.types import IMAGE_SIZE, DroneState, FloatArray, Image, Imag
 from cognitivedrone.world.appearance import PLAIN, Appearance, expose
 from cognitivedrone.world.assets import BOARD, MAX_SLOTS, build_assets, write_picture, write_place
 from cognitivedrone.world.engine import mujoco
+from cognitivedrone.world.places import names
 from cognitivedrone.world.scene import add_drone, fill_scene, new_scene
 
 _NEAR, _FAR = 0.03, 200.0
@@ -160,7 +161,7 @@ class _Renderer:
         self._scenes = [new_scene(self._assets) for _ in range(slots)]
         self._stages: list[Stage | None] = [None] * slots
         self._looks: list[Appearance] = [PLAIN] * slots
-        self._places: set[str] = set()
+        self._places: dict[str, int] = {}  # the texture that each place is in
         self._pixels = np.empty((size, size, 3), np.uint8)
         self._viewport = mujoco.MjrRect(0, 0, size, size)
 
@@ -182,7 +183,7 @@ class _Renderer:
         for picture, image in pictures.items():
             texture = write_picture(self._assets, slot, picture, image)
             mujoco.mjr_uploadTexture(self._assets.model, self._context, texture)
-        self._upload_place(appearance.place)
+        place = self._texture_of(appearance.place, slot)
         aspects = [_aspect(image) for image in images]
         fill_scene(
             self._scenes[slot],
@@ -192,21 +193,25 @@ class _Renderer:
             aspects,
             None if board is None else _aspect(board),
             appearance,
+            place,
         )
         _set_lens(self._scenes[slot], FIELD_OF_VIEW)
         self._stages[slot], self._looks[slot] = stage, appearance
 
-    def _upload_place(self, place: str) -> None:
-        """Have the panorama of a place in its texture; those of a user's own share one."""
+    def _texture_of(self, place: str, slot: int) -> int:
+        """The texture that has the panorama of a place for `slot`, filled if need be; -1 for no place."""
         if not place or place in self._places:
-            return
-        if place not in self._assets.places:
-            own = {look.place for look in self._looks} - {"", *self._assets.places}
-            if own:
-                raise RenderError(f"only one place of your own is drawn at a time: {min(own)} and {place} are two")
-            self._places -= {name for name in self._places if name not in self._assets.places}
-        mujoco.mjr_uploadTexture(self._assets.model, self._context, write_place(self._assets, place))
-        self._places.add(place)
+            return self._places.get(place, -1)
+        shown = {look.place for other, look in enumerate(self._looks) if other != slot} & self._places.keys()
+        own = place not in names()
+        if own and (others := shown - {*names()}):
+            raise RenderError(f"only one place of your own is drawn at a time: {min(others)} and {place} are two")
+        free = [self._assets.own_place] if own else sorted({*self._assets.places} - {self._places[p] for p in shown})
+        texture = min(free, key=lambda each: each in self._places.values())  # an empty one first
+        self._places = {name: held for name, held in self._places.items() if held != texture} | {place: texture}
+        write_place(self._assets, texture, place)
+        mujoco.mjr_uploadTexture(self._assets.model, self._context, texture)
+        return texture
 
     def first_person(
         self, job: list[tuple[int, int]], eye: Vectors, forward: Vectors, up: Vectors, out: Images, blur: FloatArray

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 from cognitivedrone.errors import TrainingError, did_you_mean
 from cognitivedrone.models.small_vla import SmallVLAConfig
-from cognitivedrone.training.reasoner.reader import READER
+from cognitivedrone.training.reasoner.reader import READER, READER_PLACES
 from cognitivedrone.training.reasoner.selector import DEBUG_SELECTOR, SELECTOR
-from cognitivedrone.training.small_vla.flight import FLIGHT
+from cognitivedrone.training.small_vla.flight import FLIGHT, PLACES
 from cognitivedrone.training.small_vla.language import DEBUG_LANGUAGE, LANGUAGE
 from cognitivedrone.training.small_vla.policy import TrainRecipe
 from cognitivedrone.training.small_vla.sampling import StreamRecipe
@@ -71,13 +71,16 @@ ALL_RECIPES: dict[str, Recipe] = {
     "language": LANGUAGE,
     "debug-language": DEBUG_LANGUAGE,
     "flight": FLIGHT,
+    "places": PLACES,
     "selector": SELECTOR,
     "debug-selector": DEBUG_SELECTOR,
     "reader": READER,
+    "reader-places": READER_PLACES,
     "teach": TEACH,
 }
-"""`reader`: reads panels, the first part of a pilot. `selector`: the reasoner's choice. `language`: what
-sentences mean, from a selector. `flight`: more flying. `teach`: teaches a trained pilot a user's pictures and words."""
+"""`reader`: reads panels, the first part of a pilot; `reader-places`: also before photographed places. `selector`: the
+reasoner's choice. `language`: what sentences mean, from a selector. `flight`: more flying; `places`: also in places.
+`teach`: teaches a trained pilot a user's pictures and words."""
 
 
 def find_recipe(name: str) -> Recipe:

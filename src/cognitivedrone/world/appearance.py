@@ -21,7 +21,10 @@ Pattern = Literal["plain", "checker", "tiles", "planks", "bricks", "speckle", "c
 PATTERNS: tuple[Pattern, ...] = get_args(Pattern)
 _PATTERN_SIZE = 128
 _NOISE_SIZE = 512
-_MAX_BLUR_PX = 8.0
+_UNCORRECTED = 0.4
+"""Share of cameras in places whose lens bends the picture; most cameras correct it."""
+_BLUR_PX = (0.5, 1.5, 4.5)
+"""From so many pixels, a blur is 2, 4 and 8 pixels wide."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +154,7 @@ def photo_appearance(rng: np.random.Generator, among: Sequence[str]) -> Appearan
         place_brightness=float(rng.uniform(0.7, 1.0)),
         ambient_color=tinted(place.ambient_color),
         light_color=tinted(place.light_color),
-        distortion=float(rng.uniform(-0.06, 0.06)),
+        distortion=float(rng.uniform(-0.06, 0.06)) if rng.random() < _UNCORRECTED else 0.0,
         vignetting=float(rng.uniform(0.0, 0.35)),
         exposure_s=float(rng.uniform(0.0, 0.02)),
     )
@@ -172,24 +175,30 @@ def expose(image: Image, appearance: Appearance, key: int, blur_px: float = 0.0)
     Lens distortion, blur sideways by `blur_px`, vignetting, response curve, gain, pixel noise. The noise depends only
     on its seed and `key`, so equal keys give equal bits; h and w are at most 512.
     """
+    height, width = image.shape[:2]
     if appearance.distortion:
-        image[...] = image.reshape(-1, 3)[_bent(image.shape[0], image.shape[1], round(appearance.distortion, 2))]
-    if blur_px >= 0.5:
-        _blur(image, int(np.ceil(min(blur_px, _MAX_BLUR_PX))))
+        flat = image.reshape(-1)
+        flat[:] = flat.take(_bent(height, width, round(appearance.distortion, 2)), mode="clip")
+    if blur_px >= _BLUR_PX[0]:
+        _blur(image, blur_px)
     if appearance.vignetting:
-        shade = _vignette(image.shape[0], image.shape[1], round(appearance.vignetting, 2))
-        np.right_shift(np.multiply(image, shade, dtype=np.uint16), 8, out=image, casting="unsafe")
+        wide = image.astype(np.uint16)
+        wide *= _vignette(height, width, round(appearance.vignetting, 2))
+        wide >>= 8
+        image[...] = wide
     if appearance.gain != 1.0 or appearance.gamma != 1.0:
         # bytes.translate is several times faster than indexing a table with an array.
         exposed = image.tobytes().translate(_response(appearance.gain, appearance.gamma))
         image[...] = np.frombuffer(exposed, np.uint8).reshape(image.shape)
     if appearance.noise > 0.0:
-        height, width = image.shape[:2]
         top, left = np.random.default_rng((appearance.seed, key)).integers(0, _NOISE_SIZE, 2)
-        rows = (np.arange(height) + top) % _NOISE_SIZE
-        table = _noise_table(round(appearance.noise, 1))
-        grain = np.concatenate([table[rows, left:], table[rows, :left]], axis=1)[:, :width]
-        np.clip(image + grain, 0, 255, out=image, casting="unsafe")
+        more, less = (
+            table[top : top + height, left : left + width]
+            for table in _noise_tables(round(appearance.noise, 1), height, width)
+        )
+        # The sum, from 0 to 255, in bytes alone: several times faster than in wider numbers.
+        image += np.minimum(more, ~image)
+        image -= np.minimum(less, image)
 
 
 def pattern_texture(pattern: Pattern) -> NDArray[np.uint8]:
@@ -233,34 +242,33 @@ def _waves(
     return scaled
 
 
-def _blur(image: Image, pixels: int) -> None:
-    """Average of the picture and itself moved by 1 to `pixels` pixels."""
-    total = image.astype(np.uint16)
-    for step in range(1, pixels + 1):
-        total[:, step:] += image[:, :-step]
-        total[:, :step] += image[:, :1]
-    np.floor_divide(total, pixels + 1, out=image, casting="unsafe")
+def _blur(image: Image, pixels: float) -> None:
+    """Average of the picture and itself moved by 1, up to 3, or up to 7 pixels, whichever is nearest."""
+    for step, least in zip((1, 2, 4), _BLUR_PX, strict=True):
+        if pixels >= least:
+            here, there = image[:, step:], image[:, :-step]
+            image[:, step:] = (here & there) + ((here ^ there) >> 1)  # their mean, in bytes alone
 
 
 @lru_cache(maxsize=32)
 def _bent(height: int, width: int, distortion: float) -> NDArray[np.intp]:
-    """(height, width) numbers of the pixels that a lens shows there."""
+    """(height * width * 3,) numbers of the bytes that a lens shows there."""
     y, x = np.mgrid[0:height, 0:width].astype(np.float64)
     y, x = (y + 0.5) / height * 2 - 1, (x + 0.5) / width * 2 - 1
     scale = 1 - distortion * (x**2 + y**2) / 2 + min(distortion, 0.0)  # what is bent outwards is cut off
     row = np.clip(((y * scale + 1) * height / 2).astype(np.intp), 0, height - 1)
     column = np.clip(((x * scale + 1) * width / 2).astype(np.intp), 0, width - 1)
-    bent: NDArray[np.intp] = row * width + column
+    bent: NDArray[np.intp] = (3 * (row * width + column)[..., None] + np.arange(3)).reshape(-1)
     return bent
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=36)
 def _vignette(height: int, width: int, loss: float) -> NDArray[np.uint16]:
-    """(height, width, 1) factors, in steps of 1/256."""
+    """(height, width, 3) factors, in steps of 1/256."""
     y, x = np.mgrid[0:height, 0:width].astype(np.float64)
     radius = (((y + 0.5) / height * 2 - 1) ** 2 + ((x + 0.5) / width * 2 - 1) ** 2) / 2
     factors: NDArray[np.uint16] = np.round(256 * (1 - loss * radius)).astype(np.uint16)
-    return factors[..., None]
+    return factors[..., None].repeat(3, axis=2)
 
 
 @lru_cache(maxsize=64)
@@ -271,9 +279,14 @@ def _response(gain: float, gamma: float) -> bytes:
 
 
 @lru_cache(maxsize=16)
-def _noise_table(noise: float) -> NDArray[np.int8]:
-    """(512, 512, 3) normal noise with a standard deviation of `noise` steps; random offsets into it replace draws."""
-    return np.clip(np.round(_unit_noise() * noise), -128, 127).astype(np.int8)
+def _noise_tables(noise: float, height: int, width: int) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Twice (512 + height, 512 + width, 3), what is added and what is taken off: normal noise with a standard deviation
+    of `noise` steps, repeated. Random offsets into it replace draws.
+    """
+    grain = np.clip(np.round(_unit_noise() * noise), -128, 127).astype(np.int16)
+    rows, columns = np.arange(_NOISE_SIZE + height) % _NOISE_SIZE, np.arange(_NOISE_SIZE + width) % _NOISE_SIZE
+    grain = grain[rows][:, columns]
+    return np.maximum(grain, 0).astype(np.uint8), np.maximum(-grain, 0).astype(np.uint8)
 
 
 @lru_cache(maxsize=1)

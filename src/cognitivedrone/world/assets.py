@@ -25,8 +25,8 @@ BOARD: Final = 3
 """Picture index of the board; 0 to 2 are the labels of gates 1 to 3."""
 PICTURES: Final = 4
 """Pictures per slot: three labels and a board."""
-OWN_PLACE: Final = ""
-"""Key of the texture of a user's own place."""
+OWN_PLACE_SIZE: Final = (1024, 512)
+"""Width and height of the texture of a user's own place, px: a frame of 256 pixels shows no more of it."""
 MAX_SLOTS: Final = 200
 """Limited because MuJoCo's renderer holds at most 1000 textures."""
 
@@ -67,8 +67,10 @@ class Assets:
     """Ground and dome of a place."""
     patterns: dict[Pattern, int]
     """Material of each pattern."""
-    places: dict[str, int]
-    """Texture of each shipped place, and as `OWN_PLACE` a user's own; its material has the same number."""
+    places: tuple[int, ...]
+    """Textures for shipped places, as many as can be shown at once; each one's material has the same number."""
+    own_place: int
+    """The same for a user's own place."""
     pictures: NDArray[np.int32]
     """(slots, 4) texture numbers of each slot; each texture's material has the same number."""
 
@@ -93,8 +95,10 @@ def build_assets(slots: int, image_size: int) -> Assets:
     for slot in range(slots):
         for picture in range(PICTURES):
             add_texture(spec, f"picture {slot} {picture}", TEXTURE_SIZE)
-    for name in (*places.names(), OWN_PLACE):
-        add_texture(spec, f"place {name}", *(places.SIZE if name else places.OWN_SIZE))
+    shown = range(min(slots, len(places.names())))
+    for index in shown:
+        add_texture(spec, f"place {index}", *places.SIZE)
+    add_texture(spec, "own place", *OWN_PLACE_SIZE)
     model = spec.compile()
     return Assets(
         model=model,
@@ -104,7 +108,8 @@ def build_assets(slots: int, image_size: int) -> Assets:
         room=_placed(model, "room"),
         place=_placed(model, "place"),
         patterns={pattern: model.texture(pattern).id for pattern in PATTERNS},
-        places={name: model.texture(f"place {name}").id for name in (*places.names(), OWN_PLACE)},
+        places=tuple(model.texture(f"place {index}").id for index in shown),
+        own_place=model.texture("own place").id,
         pictures=len(PATTERNS) + np.arange(slots * PICTURES, dtype=np.int32).reshape(slots, PICTURES),
     )
 
@@ -118,13 +123,14 @@ def write_picture(assets: Assets, slot: int, picture: int, image: Image) -> int:
     return texture
 
 
-def write_place(assets: Assets, name: str) -> int:
-    """Write a place's panorama into its texture; returns the texture's number, for upload."""
-    texture = assets.places.get(name, assets.places[OWN_PLACE])
+def write_place(assets: Assets, texture: int, name: str) -> None:
+    """Write a place's panorama into one of the textures for its kind of place."""
     pixels = places.load_place(name).pixels
+    size = int(assets.model.tex_width[texture]), int(assets.model.tex_height[texture])
+    if pixels.shape[1::-1] != size:
+        pixels = np.asarray(PillowImage.fromarray(pixels).resize(size, PillowImage.Resampling.BOX))
     start = int(assets.model.tex_adr[texture])
     assets.model.tex_data[start : start + pixels.size] = pixels.reshape(-1)
-    return texture
 
 
 def square(image: Image) -> Image:

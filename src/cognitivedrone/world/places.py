@@ -35,12 +35,14 @@ SIZE: Final = (512, 256)
 """Width and height of a shipped panorama, px."""
 SETS: Final = ("training", "kept")
 """Names for several places at once: those that models are trained in, and those that none was."""
-_COLUMNS: Final = 48
+_COLUMNS: Final = 16
 _FLOOR_DEG: Final = (62.0, 42.0, 28.0, 18.0, 11.0, 7.0, 4.2)  # below the horizon; rings between nadir and the farthest
 _DOME_DEG: Final = (7.0, 16.0, 27.0, 42.0, 62.0)  # above the horizon; rings up to the zenith
 _MAX_BYTES: Final = 100_000_000
 _MAX_PIXELS: Final = 140_000_000  # 16k by 8k
 _SMALLEST: Final = 64  # px high
+_FLAT: Final = 8  # levels of 255: a picture of fewer shows nothing
+_BLACK: Final = 24  # levels of 255, around the circles of fish-eye lenses
 _LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722])
 
 
@@ -100,7 +102,9 @@ def _read(path: Path) -> Image:
     """A user's panorama, (1024, 2048, 3)."""
     image = read_picture(path, "panorama", AppearanceError, OWN_SIZE[0], _MAX_BYTES, _MAX_PIXELS)
     _check_form(path, image.width, image.height)
-    return np.asarray(image.resize(OWN_SIZE, PillowImage.Resampling.LANCZOS))
+    pixels = np.asarray(image.resize(OWN_SIZE, PillowImage.Resampling.LANCZOS))
+    _check_content(path, pixels)
+    return pixels
 
 
 def _check_form(path: Path, width: int, height: int) -> None:
@@ -112,6 +116,30 @@ def _check_form(path: Path, width: int, height: int) -> None:
             f"panorama {path} must be twice as wide as high, all around and from zenith to nadir: {way}; take it with a"
             " phone's photo sphere mode, or fill it up to 2:1 with a panorama tool"
         )
+
+
+def _check_content(path: Path, pixels: Image) -> None:
+    low, high = int(pixels.min()), int(pixels.max())
+    if high - low < _FLAT:
+        seen = "black" if high < _FLAT else "white" if low > 255 - _FLAT else "of one colour"
+        raise AppearanceError(
+            f"panorama {path} is all {seen}, so it shows no place; take it again, or give another one"
+        )
+    if _has_two_circles(pixels):
+        raise AppearanceError(
+            f"panorama {path} shows two fish-eye pictures side by side, as a camera with two lenses stores them; export"
+            " it from the camera's program as an equirectangular picture"
+        )
+
+
+def _has_two_circles(pixels: Image) -> bool:
+    """Whether both halves are black around a circle that is not. A panorama's corners are its zenith and nadir."""
+    grey = np.asarray(PillowImage.fromarray(pixels).resize((64, 32), PillowImage.Resampling.BOX).convert("L"))
+    halves = grey.reshape(32, 2, 32)
+    edge = [0, 1, 2, -3, -2, -1]
+    corners = halves[edge][:, :, [0, 1, 2, 3, -4, -3, -2, -1]]
+    inside = halves[8:24, :, 8:24].mean(axis=(0, 2))
+    return bool(corners.max() < _BLACK and inside.min() > 2 * _BLACK)
 
 
 def _place(pixels: Image) -> Place:

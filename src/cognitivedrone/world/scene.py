@@ -15,7 +15,7 @@ from cognitivedrone.frames import quaternion_from_yaw, rotation_matrix
 from cognitivedrone.types import COLORS, DroneState, FloatArray, Stage
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import RGB, Appearance
-from cognitivedrone.world.assets import BOARD, OWN_PLACE, Assets, Placed
+from cognitivedrone.world.assets import BOARD, Assets, Placed
 from cognitivedrone.world.engine import mujoco
 
 _MAX_GEOMS = 128
@@ -47,11 +47,13 @@ def fill_scene(
     aspects: Sequence[float],
     board_aspect: float | None,
     appearance: Appearance,
+    place: int = -1,
 ) -> None:
     """Replace the content of `scene` by a stage whose pictures are in the textures of `slot`.
 
-    `aspects` are the labels' widths over heights; `board_aspect` is the board's, or None without a board. A gate
-    that stands alone has no panel. Room and light belong to the stage: they move and rotate with it.
+    `aspects` are the labels' widths over heights; `board_aspect` is the board's, or None without a board. `place` is
+    the texture of the appearance's place. A gate that stands alone has no panel. Room and light belong to the stage:
+    they move and rotate with it.
     """
     scene.ngeom = 0
     home = np.array([*stage.origin, 0.0])
@@ -79,20 +81,21 @@ def fill_scene(
     if stage.landing:
         for gate, center in zip(stage.gates, centers, strict=True):
             _add_pad(scene, center, appearance.gate_colors[COLORS.index(gate.color)])
-    _add_surroundings(scene, assets, home, level, appearance)
+    _add_surroundings(scene, assets, home, level, appearance, place)
     _set_light(scene, level, appearance)
 
 
-def _add_surroundings(scene: Any, assets: Assets, home: FloatArray, level: FloatArray, appearance: Appearance) -> None:
-    """Floor and room, or the place of the appearance."""
+def _add_surroundings(
+    scene: Any, assets: Assets, home: FloatArray, level: FloatArray, appearance: Appearance, place: int
+) -> None:
+    """Floor and room, or the place of the appearance, which is in the texture `place`."""
     if appearance.place:
         around_x, around_y = appearance.place_tilt
         tilt = np.array([1.0, around_x / 2, around_y / 2, 0.0])
         axes = level @ rotation_matrix(tilt / np.linalg.norm(tilt))
         axes = axes @ rotation_matrix(quaternion_from_yaw(appearance.place_turn))
         shade: RGB = (appearance.place_brightness,) * 3
-        material = assets.places.get(appearance.place, assets.places[OWN_PLACE])
-        _add_mesh(scene, assets.place, home, axes, shade, 1.0, material)
+        _add_mesh(scene, assets.place, home, axes, shade, 1.0, place)
         return
     floor, room = appearance.floor_pattern, appearance.surroundings_pattern
     _add_mesh(scene, assets.floor, home, level, appearance.floor, 0.0, _pattern(assets, floor))

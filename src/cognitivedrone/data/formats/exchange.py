@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
 
@@ -73,19 +72,22 @@ def record_of(split: Split, episode: Episode) -> dict[str, Any]:
         "suite": episode.suite,
         "index": episode.index,
         "task": task_to_json(episode.task),
-        "conditions": asdict(episode.conditions),
+        "conditions": episode.conditions.facts(),
         "final_position": episode.final_position.tolist(),
     }
 
 
 def plain_facts(episode: Episode) -> dict[str, str | int]:
-    """Flat facts for filtering: `correct_gate` counts from 1 like published task files; 0 is none."""
+    """Flat facts for filtering: `correct_gate` counts from 1 like published task files; 0 is none. `place` is where the
+    flight was, empty in a plain or varied room.
+    """
     task = episode.task
     return {
         "directive": task.directive,
         "category": task.category,
         "family": task.family,
         "correct_gate": 0 if task.target is None else task.target + 1,
+        "place": episode.conditions.place,
         "seed": episode.conditions.seed,
         "suite": episode.suite,
         "index": episode.index,

@@ -22,7 +22,7 @@ FLOATS: dict[str, tuple[str, list[str]]] = {
     "quaternion": ("float64", ["w", "x", "y", "z"]),
 }
 INTEGERS = ("frame_index", "episode_index", "index", "task_index", "correct_gate", "seed")
-TEXTS = ("directive", "category", "family")
+TEXTS = ("directive", "category", "family", "place")
 _CARD_TEXT = (
     "# Flights of CognitiveDrone in the layout of LeRobot v3",
     "",

@@ -271,7 +271,7 @@ def feature_spec(image_format: str) -> dict[str, Any]:
             }
         ),
     }
-    texts = ("directive", "category", "family", "suite", "record")
+    texts = ("directive", "category", "family", "place", "suite", "record")
     numbers = ("correct_gate", "seed", "index")
     metadata = {name: _text() for name in texts} | {name: _scalar("int64") for name in numbers}
     dataset = {

@@ -32,6 +32,8 @@ class ReaderRecipe(Recipe):
     smoothing: float = 0.05
     """Label smoothing: a reader that is never quite certain doubts more where it should."""
     validation_cards: int = 2000
+    places: float = 0.0
+    """Share of crops with a part of a photographed place behind the panel."""
 
     model_file: ClassVar[str] = "reader.safetensors"
 
@@ -82,7 +84,7 @@ class ReaderTraining:
         def made(seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
             del learner
             rng = np.random.default_rng(seed)
-            panel_crops = PanelCrops(self.recipe.network.crop_size, index.of, wider=wider)
+            panel_crops = PanelCrops(self.recipe.network.crop_size, index.of, wider=wider, places=self.recipe.places)
             while True:
                 images, attributes = panel_crops.draw(rng, self.recipe.batch)
                 yield {"crop": images, "attributes": attributes}
@@ -167,3 +169,5 @@ class ReaderLoss(nn.Module):
 
 
 READER = ReaderRecipe(name="reader", steps=8_000, learning_rate=1e-3, decay_share=0.5)
+READER_PLACES = replace(READER, name="reader-places", places=0.4)
+"""The reader of the next pilot: it sees panels before places too."""

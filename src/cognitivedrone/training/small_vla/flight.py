@@ -42,6 +42,14 @@ FLIGHT = FlightRecipe(
     stream=StreamRecipe(typed=0.5, layouts=0.8),
 )
 
+PLACES = replace(
+    FLIGHT,
+    name="places",
+    learning_rate=3e-4,
+    stream=StreamRecipe(typed=0.5, layouts=0.4, places=0.5),
+)
+"""Half of the flights are in photographed places, the others in plain and varied rooms as before."""
+
 
 @dataclass(frozen=True)
 class FlightTraining(PolicyTraining):

@@ -50,6 +50,8 @@ class StreamRecipe:
     """Share of flights with other gate layouts than the published one (`cognitivedrone.layout`)."""
     varied: float = 0.5
     """Share of flights with varied appearance."""
+    places: float = 0.0
+    """Share of flights in photographed places, before the others are plain or varied; only in those of training."""
     rolling: float = 0.2
     """Share of flights that begin behind the start box and in motion, as behind a gate of a track."""
     off_track: float = 0.35

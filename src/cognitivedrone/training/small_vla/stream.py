@@ -33,7 +33,8 @@ from cognitivedrone.training.small_vla.sampling import Sampler, SampleSource, Se
 from cognitivedrone.training.trainer.training_task import Batch, Filling, Learner
 from cognitivedrone.types import FloatArray, Image, Stage, Task
 from cognitivedrone.world import geometry
-from cognitivedrone.world.appearance import PLAIN, varied_appearance
+from cognitivedrone.world.appearance import PLAIN, photo_appearance, varied_appearance
+from cognitivedrone.world.places import names
 
 _HOPELESS = TrackConfig(time_limit_s=14.1)  # a flight of so long leads nowhere
 _BOUND_M = 9.0  # beyond this distance from the stage's origin there is nothing to learn
@@ -94,10 +95,13 @@ class RolloutStream:
         if recipe.suite == "race":
             make = crowded_task if rng.random() < recipe.crowded else race_task
         task = make(int(rng.integers(2**31)), 0)
-        # A share of zero draws nothing: the recipes without layouts stay as they are, to the bit.
+        # A share of zero draws nothing: the recipes without layouts or places stay as they are, to the bit.
         if recipe.layouts and rng.random() < recipe.layouts:
             task = replace(task, layout=draw_layout(rng, task.gates, board=task.board is not None))
-        appearance = varied_appearance(rng) if rng.random() < recipe.varied else PLAIN
+        if recipe.places and rng.random() < recipe.places:
+            appearance = photo_appearance(rng, names("training"))
+        else:
+            appearance = varied_appearance(rng) if rng.random() < recipe.varied else PLAIN
         start, velocity = self._draw_start()
         runner, flight = self._worlds.runners[world], self._worlds.simulator.flight
         runner.begin((task,), rng, start, appearance)
