@@ -27,7 +27,7 @@ from cognitivedrone.training.small_vla.sampling import LONGEST, NONE_IN_VIEW, Sa
 from cognitivedrone.training.small_vla.stream import RolloutStream
 from cognitivedrone.training.trainer.training_task import Batch
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Task
-from cognitivedrone.world.appearance import photo_appearance
+from cognitivedrone.world.appearance import Appearance, photo_appearance
 from cognitivedrone.world.places import names
 
 RECIPE = RECIPES["debug"].stream
@@ -137,9 +137,12 @@ def test_a_batch_has_its_layout(encoder: Path) -> None:
 
 def test_a_share_of_the_flights_is_in_places_that_models_are_trained_in(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[str, ...]] = []
-    monkeypatch.setattr(
-        stream, "photo_appearance", lambda rng, among: asked.append(among) or photo_appearance(rng, among)
-    )
+
+    def drawn(rng: np.random.Generator, among: tuple[str, ...]) -> Appearance:
+        asked.append(among)
+        return photo_appearance(rng, among)
+
+    monkeypatch.setattr(stream, "photo_appearance", drawn)
     (batch,) = batches(replace(RECIPE, places=1.0, worlds=2), 1)
     assert len(asked) >= 2
     assert {*asked} == {names("training")}
