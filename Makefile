@@ -33,7 +33,7 @@ check:
 
 tests:
 	@$(PYTHON) scripts/setup.py dev
-	$(RUN)/pytest -n 2 --dist worksteal --durations 30
+	$(RUN)/pytest -n 2 --dist worksteal --durations 400 --durations-min 1.5
 
 test: check tests
 

@@ -25,6 +25,7 @@ ELSEWHERE = {
 }
 """Pages whose Python another test runs, with what it needs."""
 TUTORIALS = ("fly", "score", "train", "extend")
+LONG = ("fly", "extend")
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ def test_the_python_of_a_page_runs(page, finished):
     run(["-c", "\n".join(python_of(page))], finished)
 
 
-@pytest.mark.parametrize("name", TUTORIALS)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for name in TUTORIALS])
 def test_a_tutorial_works_from_top_to_bottom(name, tmp_path):
     ran = 0
     for block in blocks_of((DOCS / "tutorials" / f"{name}.md").read_text()):

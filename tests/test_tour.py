@@ -20,6 +20,7 @@ def test_it_is_kept_with_the_outputs_of_a_whole_run():
     assert NOTEBOOK.stat().st_size < 1_000_000
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # Jupyter's own, about its sockets and folders
 def test_it_runs_from_top_to_bottom(tmp_path, monkeypatch):
     nbformat = pytest.importorskip("nbformat", reason="nbclient is in the extra docs")

@@ -383,8 +383,8 @@ def test_a_second_ctrl_c_ends_the_command_once_the_drone_is_down(tmp_path, polic
     ("policy", "code", "says"),
     [
         ("Hangs", 1, "the policy hangs; the flight had ended: still braking because no new command from the policy"),
-        ("NeverCloses", 0, "the policy or the reasoner does not close"),
-        ("LeavesThread", 0, "still running: left behind"),
+        pytest.param("NeverCloses", 0, "the policy or the reasoner does not close", marks=pytest.mark.slow),
+        pytest.param("LeavesThread", 0, "still running: left behind", marks=pytest.mark.slow),
     ],
 )
 def test_a_policy_that_hangs_does_not_keep_the_process_after_the_landing(tmp_path, policy, code, says):

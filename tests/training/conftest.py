@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from made_once import made_once
 
 
 @pytest.fixture(scope="module")
@@ -35,10 +36,14 @@ def reader_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A tiny reader with random weights."""
     from quick_trainings import TINY_READER, saved
 
+    from cognitivedrone.training.trainer.checkpoint import CHECKPOINT
     from cognitivedrone.training.trainer.training_task import Given
 
-    with small():
-        return saved(TINY_READER.training(Given()), tmp_path_factory.mktemp("reader"))
+    def make(folder: Path) -> None:
+        with small():
+            saved(TINY_READER.training(Given()), folder)
+
+    return made_once(tmp_path_factory, "reader", make) / CHECKPOINT
 
 
 @pytest.fixture(scope="session")
@@ -47,10 +52,14 @@ def selector_checkpoint(tmp_path_factory: pytest.TempPathFactory, reader_checkpo
     from quick_trainings import saved
 
     from cognitivedrone.training.reasoner.selector import DEBUG_SELECTOR
+    from cognitivedrone.training.trainer.checkpoint import CHECKPOINT
     from cognitivedrone.training.trainer.training_task import Given
 
-    with small():
-        return saved(DEBUG_SELECTOR.training(Given(start=reader_checkpoint)), tmp_path_factory.mktemp("selector"))
+    def make(folder: Path) -> None:
+        with small():
+            saved(DEBUG_SELECTOR.training(Given(start=reader_checkpoint)), folder)
+
+    return made_once(tmp_path_factory, "selector", make) / CHECKPOINT
 
 
 @pytest.fixture(scope="session")
@@ -59,13 +68,15 @@ def language_checkpoint(tmp_path_factory: pytest.TempPathFactory, selector_check
     from quick_trainings import saved
 
     from cognitivedrone.training.small_vla.language import DEBUG_LANGUAGE
+    from cognitivedrone.training.trainer.checkpoint import CHECKPOINT
     from cognitivedrone.training.trainer.training_task import Given
 
-    with small():
-        task = DEBUG_LANGUAGE.training(Given(start=selector_checkpoint))
-        path = saved(task, tmp_path_factory.mktemp("language"))
-        task.export(path, path.parent)
-    return path
+    def make(folder: Path) -> None:
+        with small():
+            task = DEBUG_LANGUAGE.training(Given(start=selector_checkpoint))
+            task.export(saved(task, folder), folder)
+
+    return made_once(tmp_path_factory, "language", make) / CHECKPOINT
 
 
 @pytest.fixture(scope="session")
@@ -75,12 +86,15 @@ def policy_checkpoint(tmp_path_factory: pytest.TempPathFactory, language_checkpo
 
     from cognitivedrone.models.text_encoder import FILE
     from cognitivedrone.training.recipes import RECIPES
+    from cognitivedrone.training.trainer.checkpoint import CHECKPOINT
     from cognitivedrone.training.trainer.training_task import Given
 
-    folder = tmp_path_factory.mktemp("policy")
-    shutil.copy(language_checkpoint.parent / FILE, folder)
-    with small():
-        return saved(RECIPES["debug"].training(Given(start=language_checkpoint)), folder)
+    def make(folder: Path) -> None:
+        shutil.copy(language_checkpoint.parent / FILE, folder)
+        with small():
+            saved(RECIPES["debug"].training(Given(start=language_checkpoint)), folder)
+
+    return made_once(tmp_path_factory, "policy", make) / CHECKPOINT
 
 
 @pytest.fixture(scope="session")
@@ -89,7 +103,9 @@ def policy_file(tmp_path_factory: pytest.TempPathFactory, policy_checkpoint: Pat
     from cognitivedrone.models.text_encoder import FILE
     from cognitivedrone.training.small_vla.export import export
 
-    path = tmp_path_factory.mktemp("file") / "model.onnx"
-    with small():
-        export(policy_checkpoint, path, encoder=policy_checkpoint.parent / FILE, scores={"open-v1:test": 0.5})
-    return path
+    def make(folder: Path) -> None:
+        encoder = policy_checkpoint.parent / FILE
+        with small():
+            export(policy_checkpoint, folder / "model.onnx", encoder=encoder, scores={"open-v1:test": 0.5})
+
+    return made_once(tmp_path_factory, "file", make) / "model.onnx"

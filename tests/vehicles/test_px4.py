@@ -107,7 +107,7 @@ def test_without_a_stream_offboard_is_refused(monkeypatch):
         assert not peer.part.armed
 
 
-@pytest.mark.parametrize(("action", "mode"), [(4, "LAND"), (3, "RTL")])
+@pytest.mark.parametrize(("action", "mode"), [(4, "LAND"), pytest.param(3, "RTL", marks=pytest.mark.slow)])
 def test_when_we_are_killed_the_offboard_loss_action_follows(action, mode):
     with playing_px4(parameters={**PX4_PARAMETERS, "COM_OBL_RC_ACT": action}) as peer:
         drone = connect(peer)

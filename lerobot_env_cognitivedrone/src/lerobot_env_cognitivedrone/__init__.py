@@ -61,7 +61,9 @@ class CognitiveDroneConfig(EnvConfig):
     track: bool = False
     """Chain single tasks into tracks of five."""
     appearance: str = "plain"
-    """How the room looks: plain or varied."""
+    """How the room looks: plain, varied, or photo: photographed places."""
+    place: str = ""
+    """Where to fly with photo: training, kept, a name of `cognitivedrone list`, or a panorama's file."""
     airframe: str = "racer"
     """The drone that flies: racer or iris."""
     wind: float = 0.0

@@ -8,7 +8,6 @@ moves as a real one would, and what is far away turns with the drone.
 from __future__ import annotations
 
 import functools
-import json
 import math
 from dataclasses import dataclass
 from importlib import resources
@@ -22,6 +21,7 @@ from PIL import Image as PillowImage
 
 from cognitivedrone.errors import AppearanceError, did_you_mean
 from cognitivedrone.files import digest_of_file
+from cognitivedrone.json_text import parse_json
 from cognitivedrone.pictures import read_picture
 from cognitivedrone.types import FloatArray, Image
 
@@ -63,7 +63,7 @@ class Place:
 @functools.cache
 def names(which: str = "") -> tuple[str, ...]:
     """Names of the shipped places: all of them, or one of `SETS`."""
-    table = json.loads((resources.files("cognitivedrone.world") / "panoramas" / "manifest.json").read_text("utf-8"))
+    table = parse_json((resources.files("cognitivedrone.world") / "panoramas" / "manifest.json").read_bytes())
     return tuple(sorted([*table["training"], *table["kept"]]) if not which else table[which])
 
 

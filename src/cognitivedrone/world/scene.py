@@ -73,9 +73,9 @@ def fill_scene(
         axes = rotation_matrix(quaternion_from_yaw(yaw)) * size
         _add_mesh(scene, assets.panel, panels[index], axes, paper, 1.0, int(pictures[index]))
     if board_aspect is not None:
-        place, yaw, *sides = geometry.board_panel(stage, board_aspect)
+        center, yaw, *sides = geometry.board_panel(stage, board_aspect)
         axes = rotation_matrix(quaternion_from_yaw(yaw)) * np.array([1.0, *sides])
-        _add_mesh(scene, assets.panel, place, axes, paper, 1.0, int(pictures[BOARD]))
+        _add_mesh(scene, assets.panel, center, axes, paper, 1.0, int(pictures[BOARD]))
     if stage.obstacles or stage.landmark:
         _add_obstacles(scene, stage)
     if stage.landing:
