@@ -88,6 +88,21 @@ def test_a_ray_from_the_eye_meets_its_own_pixel():
     np.testing.assert_allclose(turn, 1.0, atol=1e-6)
 
 
+def test_a_straight_line_of_the_panorama_stays_straight_on_the_ground():
+    """Within a quad, the picture is off by less than four pixels of a frame, 2.84 to a degree."""
+    vertices, faces, texture = places.mesh()
+    columns = places._COLUMNS
+    radius = np.linalg.norm(vertices[:, :2], axis=1).reshape(-1, columns + 1)[:, 0]
+    ground = (vertices[:, 2].reshape(-1, columns + 1)[:, 0] < 1e-9) & (
+        radius > 2.0
+    )  # what is nearer, no level camera sees
+    rings = np.sort(radius[ground])
+    worst = ((rings[1:] - rings[:-1]) / (rings[1:] + rings[:-1])).max() / 2  # of a column, in the middle of a diagonal
+    assert worst * 360 / columns * 2.84 < 4.0
+    assert len(faces) < 1300
+    assert len(texture) == len(vertices)
+
+
 def test_the_light_comes_from_where_the_picture_is_brightest(tmp_path):
     panorama().save(tmp_path / "mine.png")
     east, north, down = places.load_place(str(tmp_path / "mine.png")).light

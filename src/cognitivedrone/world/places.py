@@ -35,8 +35,9 @@ SIZE: Final = (512, 256)
 """Width and height of a shipped panorama, px."""
 SETS: Final = ("training", "kept")
 """Names for several places at once: those that models are trained in, and those that none was."""
-_COLUMNS: Final = 16
-_FLOOR_DEG: Final = (62.0, 42.0, 28.0, 18.0, 11.0, 7.0, 4.2)  # below the horizon; rings between nadir and the farthest
+_COLUMNS: Final = 24
+# Below the horizon, rings from nadir outwards. Quads that are much wider outside than inside would bend straight lines.
+_FLOOR_DEG: Final = (66.0, 48.0, 36.0, 27.0, 20.0, 15.0, 11.0, 8.2, 6.0, 4.4, 3.2)
 _DOME_DEG: Final = (7.0, 16.0, 27.0, 42.0, 62.0)  # above the horizon; rings up to the zenith
 _MAX_BYTES: Final = 100_000_000
 _MAX_PIXELS: Final = 140_000_000  # 16k by 8k
