@@ -20,7 +20,7 @@ from PIL import Image as PillowImage
 
 from cognitivedrone.errors import RenderError
 from cognitivedrone.frames import rotation_matrix
-from cognitivedrone.sim.gl import GLThread
+from cognitivedrone.sim.gl import GLThread, enlarge_only
 from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT, View, focal_length, top_view
 from cognitivedrone.types import IMAGE_SIZE, DroneState, FloatArray, Image, Images, Stage, Vector, Vectors
 from cognitivedrone.world.appearance import PLAIN, Appearance, expose
@@ -211,6 +211,7 @@ class _Renderer:
         self._places = {name: held for name, held in self._places.items() if held != texture} | {place: texture}
         write_place(self._assets, texture, place)
         mujoco.mjr_uploadTexture(self._assets.model, self._context, texture)
+        enlarge_only(self._context, texture)
         return texture
 
     def first_person(
