@@ -170,12 +170,12 @@ class Bolder(WithFile):
 @pytest.mark.parametrize(
     ("name", "written"),
     [
-        ("small", "small[:PATH][,stack=NUMBER][,compiled=yes|no]"),
+        ("small", "small[:PATH][,stack=NUMBER]"),
         ("hover", "hover"),
         ("lerobot", "lerobot:FOLDER[,device=cuda|cpu]"),
         (
             "openvla",
-            "openvla:FOLDER[,decoder=ar|parallel][,quant=none|int8|int4][,device=cuda|cpu][,unnorm_key=TEXT][,stack=NUMBER]",
+            "openvla:FOLDER[,decoder=ar|parallel][,quant=none|int8|int4][,device=cuda|cpu][,unnorm_key=TEXT][,stack=NUMBER][,compiled=yes|no]",
         ),
     ],
 )

@@ -305,7 +305,8 @@ class ProcessPool(Pool[Item, Answer]):
         if isinstance(message, _Answer):
             return message
         if isinstance(message.error, FirstFrameError) and not worker.item and len(self._workers) > 1:
-            return self._go_on_without(worker, message.error)
+            self._go_on_without(worker, message.error)
+            return None
         if isinstance(message.error, CognitiveDroneError):
             raise message.error
         raise WorkerCrash(f"{self._doing(worker)} failed: {message.error}", message.trace)
