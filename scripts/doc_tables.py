@@ -237,6 +237,13 @@ TABLES: Final[dict[str, Description]] = {
         {"what": "{what}", "control steps/s": "{steps_per_s:,.0f}", "date": "{date}", "ratio": "{ratio:.2g}"},
         having="steps_per_s",
     ),
+    "environment-card": rows_of(
+        "environment_card", {"what": "{what}", "control steps/s": "{steps_per_s:,.0f}"}, having="steps_per_s"
+    ),
+    "rendering-contexts": rows_of(
+        "rendering_contexts",
+        {"OpenGL contexts": "{contexts}", "frames/s": "{frames_per_s:,.0f}", "drawn by": "{renderer}"},
+    ),
     # docs/suites.md
     "evaluations": rows_of(
         "evaluations",

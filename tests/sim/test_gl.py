@@ -15,6 +15,7 @@ def fresh(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     monkeypatch.setattr(gl, "_chosen", None)
     for name in (gl._REMEMBERED, "MUJOCO_GL"):
         monkeypatch.setenv(name, "")
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
     return monkeypatch
 
 
@@ -172,10 +173,10 @@ def test_a_broken_choice_of_the_users_breaks_nothing_until_something_is_drawn(na
         "import sys\n"
         "sys.modules['OpenGL.osmesa'] = None  # also where it is installed\n"
         "from cognitivedrone.cli import main\n"
-        "main(['list'])\n"
         "from cognitivedrone.sim import gl\n"
         "def absent(name, without=()): raise gl.RenderError(name + ' is not there')\n"
         "gl._probe = absent\n"
+        "main(['list'])\n"
         "main(['view'])\n"
     )
     environment = {**os.environ, "MUJOCO_GL": name, gl._REMEMBERED: ""}

@@ -14,6 +14,7 @@ import os
 import signal
 import time
 import traceback
+import warnings
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
@@ -24,7 +25,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Generic, Protocol, Self, TypeVar
 
-from cognitivedrone.errors import CognitiveDroneError, RunError, plain_warnings
+from cognitivedrone.errors import CognitiveDroneError, FirstFrameError, RunError, plain_warnings
 from cognitivedrone.processes import end_with_parent, starting
 from cognitivedrone.temporary import TemporaryFolder
 
@@ -194,7 +195,7 @@ class CallClock:
         self._began.value = 0.0
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class _Worker:
     process: BaseProcess
     connection: Connection
@@ -267,7 +268,7 @@ class ProcessPool(Pool[Item, Answer]):
             arrived = wait([worker.connection for worker in self._workers], POLL_S)
             now = time.monotonic()
             passed_s, looked = min(now - looked, 5 * POLL_S), now
-            for position, worker in enumerate(self._workers):
+            for worker in list(self._workers):
                 hangs = worker.look(passed_s) > self._work.time_limit_s
                 if worker.connection in arrived:
                     came = self._receive(worker)
@@ -275,8 +276,10 @@ class ProcessPool(Pool[Item, Answer]):
                     came = self._end_hanging(worker)
                 else:
                     continue
+                if worker not in self._workers:
+                    continue
                 if worker.connection.closed:
-                    self._workers[position] = self._start_worker()
+                    self._workers[self._workers.index(worker)] = self._start_worker()
                 elif came is None:
                     self._give(worker, todo)
                 if came is not None:
@@ -301,9 +304,20 @@ class ProcessPool(Pool[Item, Answer]):
             return None
         if isinstance(message, _Answer):
             return message
+        if isinstance(message.error, FirstFrameError) and not worker.item and len(self._workers) > 1:
+            self._go_on_without(worker, message.error)
+            return None
         if isinstance(message.error, CognitiveDroneError):
             raise message.error
         raise WorkerCrash(f"{self._doing(worker)} failed: {message.error}", message.trace)
+
+    def _go_on_without(self, worker: _Worker, error: FirstFrameError) -> None:
+        """Let fewer processes draw: what one card returns no frames to, it returns none to its successor."""
+        worker.process.kill()  # its OpenGL hangs, also at the end of the process
+        worker.connection.close()
+        self._workers.remove(worker)
+        self.size = len(self._workers)
+        warnings.warn(f"{error} {self.size} of {self._hired} workers go on.", stacklevel=2)
 
     def _after_death(self, worker: _Worker) -> _Answer:
         """The answer of a worker that died inside a call; raises `RunError` for any other death."""

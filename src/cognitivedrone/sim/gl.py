@@ -25,10 +25,11 @@ from functools import partial
 from queue import SimpleQueue
 from typing import Any, Final, TypeVar
 
-from cognitivedrone.errors import RenderError
+from cognitivedrone.errors import FirstFrameError, RenderError
 from cognitivedrone.printable import visible
 from cognitivedrone.processes import environment
 from cognitivedrone.shortages import tight_limit, way_out_of
+from cognitivedrone.sim import renderers
 
 BACKENDS: Final = ("egl", "osmesa")
 _REMEMBERED: Final = "COGNITIVEDRONE_GL"
@@ -44,7 +45,10 @@ print("renderer:", GL.glGetString(GL.GL_RENDERER).decode())
 context.free()
 """
 _PROBE_S: Final = 120.0
+FIRST_FRAME_S: Final = 60.0
+"""Time that a card may take for the first frame of a context, s; processes that draw on one card have hung in it."""
 _TOO_SLOW: Final = f"its test did not end within {_PROBE_S:g} s"
+_MOST_DEVICES: Final = 16  # of EGL that are tried, where the first is not the one that was chosen
 _LINES: Final = 3
 _LONGEST: Final = 400  # characters of somebody else's error
 _STEERING: Final = re.compile(
@@ -63,6 +67,8 @@ class Backend:
     """egl or osmesa."""
     renderer: str
     """OpenGL's renderer name, for reports: "llvmpipe (LLVM 19.1.7, 256 bits)"."""
+    device: int | None = None
+    """MuJoCo's number of EGL's device, where it is not the first."""
 
 
 _chosen: Backend | None = None
@@ -94,6 +100,8 @@ def backend() -> Backend:
         if _chosen is None or (wanted and wanted != _chosen.name):
             _chosen = _remembered(wanted) or _find(wanted)
             os.environ[_REMEMBERED] = f"{_chosen.name}:{_chosen.renderer}"
+            if _chosen.device is not None:
+                os.environ[renderers.DEVICE] = str(_chosen.device)  # MuJoCo reads it at the first context
         return _chosen
 
 
@@ -182,6 +190,19 @@ class GLThread:
         self._jobs.put((job, future))
         return future
 
+    def first(self, draw: Callable[[], None]) -> None:
+        """Draw the first frame in the thread. Raises `FirstFrameError` if it does not come; the thread is then lost."""
+        try:
+            self.call(draw).result(FIRST_FRAME_S)
+        except TimeoutError:
+            self._stopped = True  # nothing waits for it any more, not even the end of the process
+            atexit.unregister(self.stop)
+            _lost.append(self)
+            raise FirstFrameError(
+                f"{backend().renderer} drew no frame within {FIRST_FRAME_S:g} s; let fewer processes draw on it "
+                f"(--workers), or set {renderers.CHOICE}=cpu."
+            ) from None
+
     def keep(self, made: T) -> T:
         """What was made in the context, unchanged; a forked child, which has no such thread, will never free it."""
         self._kept.append(made)
@@ -189,7 +210,7 @@ class GLThread:
 
     def release(self, made: Any) -> None:
         """Run `free()` of what is kept, in the thread; a forked child has nothing to free, and nothing is done."""
-        if os.getpid() == self._process:
+        if os.getpid() == self._process and not self._stopped:
             self.call(made.free).result()
             self._kept = [kept for kept in self._kept if kept is not made]
 
@@ -212,6 +233,8 @@ class GLThread:
 
 
 _threads: weakref.WeakSet[GLThread] = weakref.WeakSet()
+_lost: list[GLThread] = []
+"""Threads that hang. What they hold must not be freed in another thread."""
 
 
 def _in_a_forked_child() -> None:
@@ -254,26 +277,47 @@ def _serve(jobs: SimpleQueue[tuple[Callable[[], Any], Future[Any]] | None]) -> N
 def _remembered(wanted: str) -> Backend | None:
     """The backend that a parent process found, if it is the wanted one."""
     name, _, renderer = os.environ.get(_REMEMBERED, "").partition(":")
-    return Backend(name, renderer) if name in BACKENDS and wanted in ("", name) else None
+    return Backend(name, renderer) if name in BACKENDS and wanted in ("", name) and renderers.suits(renderer) else None
 
 
 def _find(wanted: str) -> Backend:
-    """The first backend that works in a child process; if one is wanted, only that one."""
+    """The first backend that works in a child process and suits the person's choice; if one is wanted, only that one.
+
+    Raises `RenderError` if none works, or none is what the person chose.
+    """
     failures: dict[str, str] = {}
+    others: list[Backend] = []
     for name in (wanted,) if wanted else BACKENDS:
         try:
-            return Backend(name, _probe(name))
+            found = Backend(name, _probe(name))
         except RenderError as error:
             failures[name] = str(error)
-    raise RenderError(_advice(failures, _INSTALLS[wanted] if wanted else _INSTALL))
+            continue
+        if renderers.suits(found.renderer):
+            return found
+        if name == "egl" and not os.environ.get(renderers.DEVICE):
+            for device in range(_MOST_DEVICES):
+                try:
+                    renderer = _probe(name, device=device)
+                except RenderError:  # there are no more
+                    break
+                if renderers.suits(renderer):
+                    return Backend(name, renderer, device)
+        others.append(found)
+    if not others:
+        raise RenderError(_advice(failures, _INSTALLS[wanted] if wanted else _INSTALL))
+    renderers.check(others[0].renderer)
+    return others[0]
 
 
-def _probe(name: str, without: Collection[str] = ()) -> str:
+def _probe(name: str, without: Collection[str] = (), device: int | None = None) -> str:
     """The renderer's name in a child process, which may crash, started without some of the environment's variables.
 
-    Raises `RenderError` with OpenGL's own error.
+    On EGL's device of a number, if one is given. Raises `RenderError` with OpenGL's own error.
     """
     variables = {variable: value for variable, value in environment().items() if variable not in without}
+    if device is not None:
+        variables[renderers.DEVICE] = str(device)
     try:
         child = subprocess.run(  # noqa: S603
             [sys.executable, "-c", _PROBE, name],
