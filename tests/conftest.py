@@ -37,7 +37,7 @@ settings.load_profile("no deadline")
 # tests start and signal would inherit that. A handler, which is not inherited, keeps the tests themselves going.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
-if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     signal.signal(signal.SIGHUP, lambda number, frame: None)
 
 OPTIONAL: tuple[str, ...] = (

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import faulthandler
 import multiprocessing
-import os
 import signal
 import time
 import traceback
@@ -25,6 +24,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Generic, Protocol, Self, TypeVar
 
+from cognitivedrone import system
 from cognitivedrone.errors import CognitiveDroneError, FirstFrameError, RunError, plain_warnings
 from cognitivedrone.processes import end_with_parent, starting
 from cognitivedrone.temporary import TemporaryFolder
@@ -35,8 +35,6 @@ STOP_S = 1.0
 """Time that all workers together may take to exit where the work is stopped: they have nothing to write, s."""
 POLL_S = 0.2
 """Period of the check for hanging calls, s."""
-FROM_OUTSIDE = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
-"""Signals sent from outside: by the out-of-memory killer, a person, or a batch system."""
 
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
@@ -326,7 +324,7 @@ class ProcessPool(Pool[Item, Answer]):
         how = f"ended with exit code {code}"
         if code is not None and code < 0:
             how = f"was killed by {signal.Signals(-code).name}"
-        from_outside = code is not None and -code in FROM_OUTSIDE
+        from_outside = code is not None and -code in system.FROM_OUTSIDE
         if worker.item and worker.began.value and not from_outside:
             return self._lose(worker, f"its process {how} during a call of policy or reasoner")
         if not worker.item:
@@ -342,7 +340,7 @@ class ProcessPool(Pool[Item, Answer]):
         """End a worker whose call takes too long."""
         # The worker's fault handler writes its traceback even if the interpreter is blocked.
         if worker.process.pid is not None:
-            os.kill(worker.process.pid, signal.SIGUSR1)
+            system.ask_for_threads(worker.process.pid)
         worker.process.join(POLL_S)
         worker.process.kill()
         worker.process.join(JOIN_TIMEOUT_S)
@@ -351,7 +349,7 @@ class ProcessPool(Pool[Item, Answer]):
 
     def _lose(self, worker: _Worker, message: str) -> _Answer:
         worker.connection.close()
-        trace = worker.crash_file.read_text(errors="replace") if worker.crash_file.exists() else ""
+        trace = worker.crash_file.read_text(encoding="utf-8", errors="replace") if worker.crash_file.exists() else ""
         return _Answer(self._work.lost(worker.item[0], message, trace or message))
 
     def _doing(self, worker: _Worker) -> str:
@@ -386,9 +384,9 @@ class ProcessPool(Pool[Item, Answer]):
 def _work(connection: Connection, began: Any, crash_file: Path, work: Work[Any, Any]) -> None:
     """Main function of a worker process: make a worker, do the items that come, exit when the stream ends."""
     end_with_parent()
-    with crash_file.open("w") as crashes:
+    with crash_file.open("w", encoding="utf-8") as crashes:
         faulthandler.enable(crashes)
-        faulthandler.register(signal.SIGUSR1, crashes)
+        system.show_threads_on_request(crashes)
         try:
             worker: Worker = work.open(CallClock(began))
             try:
@@ -407,4 +405,4 @@ def _work(connection: Connection, began: Any, crash_file: Path, work: Work[Any, 
             connection.send(_Failed(f"{type(error).__name__}: {error}", traceback.format_exc()))
         finally:
             faulthandler.disable()
-            faulthandler.unregister(signal.SIGUSR1)
+            system.show_threads_on_request(None)
