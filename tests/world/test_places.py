@@ -152,6 +152,18 @@ def test_a_place_is_drawn_the_same_each_time_and_only_where_it_is_asked_for():
     assert np.abs(np.diff(turned.astype(int), axis=2)).mean() < across
 
 
+def test_a_stage_with_a_board_is_drawn_in_a_place():
+    look, board = photo_appearance(np.random.default_rng(1), ["hall"]), np.full((64, 128, 3), 255, np.uint8)
+    pose = [[-1.0, 0.0, 0.75]], [[1.0, 0.0, 0.0, 0.0]]
+    with Cameras(1) as cameras:
+        cameras.set_stage(0, STAGE, PICTURES, appearance=look)
+        without = cameras.first_person(*pose).copy()
+        cameras.set_stage(0, STAGE, PICTURES, board, look)
+        seen = cameras.first_person(*pose).copy()
+    changed = (seen != without).any(axis=3).mean()
+    assert 0.002 < changed < 0.1, "the board, and nothing else"
+
+
 def test_one_place_of_ones_own_is_drawn_at_a_time(tmp_path):
     looks = []
     for name, color in (("a", (200, 30, 30)), ("b", (30, 30, 200))):

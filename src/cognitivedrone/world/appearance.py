@@ -284,8 +284,7 @@ def _noise_tables(noise: float, height: int, width: int) -> tuple[NDArray[np.uin
     of `noise` steps, repeated. Random offsets into it replace draws.
     """
     grain = np.clip(np.round(_unit_noise() * noise), -128, 127).astype(np.int16)
-    rows, columns = np.arange(_NOISE_SIZE + height) % _NOISE_SIZE, np.arange(_NOISE_SIZE + width) % _NOISE_SIZE
-    grain = grain[rows][:, columns]
+    grain = np.pad(grain, ((0, height), (0, width), (0, 0)), mode="wrap")  # its rows are in one piece, as pictures' are
     return np.maximum(grain, 0).astype(np.uint8), np.maximum(-grain, 0).astype(np.uint8)
 
 

@@ -47,12 +47,12 @@ def fill_scene(
     aspects: Sequence[float],
     board_aspect: float | None,
     appearance: Appearance,
-    place: int = -1,
+    panorama: int = -1,
 ) -> None:
     """Replace the content of `scene` by a stage whose pictures are in the textures of `slot`.
 
-    `aspects` are the labels' widths over heights; `board_aspect` is the board's, or None without a board. `place` is
-    the texture of the appearance's place. A gate that stands alone has no panel. Room and light belong to the stage:
+    `aspects` are the labels' widths over heights; `board_aspect` is the board's, or None without a board. `panorama`
+    is the texture of the appearance's place. A gate that stands alone has no panel. Room and light belong to the stage:
     they move and rotate with it.
     """
     scene.ngeom = 0
@@ -81,21 +81,21 @@ def fill_scene(
     if stage.landing:
         for gate, center in zip(stage.gates, centers, strict=True):
             _add_pad(scene, center, appearance.gate_colors[COLORS.index(gate.color)])
-    _add_surroundings(scene, assets, home, level, appearance, place)
+    _add_surroundings(scene, assets, home, level, appearance, panorama)
     _set_light(scene, level, appearance)
 
 
 def _add_surroundings(
-    scene: Any, assets: Assets, home: FloatArray, level: FloatArray, appearance: Appearance, place: int
+    scene: Any, assets: Assets, home: FloatArray, level: FloatArray, appearance: Appearance, panorama: int
 ) -> None:
-    """Floor and room, or the place of the appearance, which is in the texture `place`."""
+    """Floor and room, or the place of the appearance, whose texture is `panorama`."""
     if appearance.place:
         around_x, around_y = appearance.place_tilt
         tilt = np.array([1.0, around_x / 2, around_y / 2, 0.0])
         axes = level @ rotation_matrix(tilt / np.linalg.norm(tilt))
         axes = axes @ rotation_matrix(quaternion_from_yaw(appearance.place_turn))
         shade: RGB = (appearance.place_brightness,) * 3
-        _add_mesh(scene, assets.place, home, axes, shade, 1.0, place)
+        _add_mesh(scene, assets.place, home, axes, shade, 1.0, panorama)
         return
     floor, room = appearance.floor_pattern, appearance.surroundings_pattern
     _add_mesh(scene, assets.floor, home, level, appearance.floor, 0.0, _pattern(assets, floor))
