@@ -5,6 +5,7 @@ import json
 import shutil
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -69,9 +70,10 @@ def test_compiled_blocks_fly_the_same_and_are_run_before_take_off(folder, monkey
 
 
 def test_where_compiling_fails_it_is_said_and_the_network_flies_as_it_is(folder, monkeypatch):
-    def failing(graph, inputs):
+    def fails(graph, inputs):
         raise OSError("no C compiler")
 
+    failing: Any = fails
     plain = make_policy(f"openvla:{folder},device=cpu")
     torch.compiler.reset()
     monkeypatch.setattr(openvla, "warmed_up", partial(openvla.warmed_up, backend=failing))
