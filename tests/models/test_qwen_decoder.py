@@ -108,7 +108,7 @@ def test_what_comes_before_the_image_is_computed_once(model: Any, monkeypatch: p
     text, counts = model.model.language_model, []
     embed = text.embed_tokens.forward
 
-    def counted(ids: torch.Tensor) -> Any:
+    def counted(ids: Any) -> Any:
         counts.append(ids.shape[1])
         return embed(ids)
 
