@@ -437,6 +437,15 @@ TABLES: Final[dict[str, Description]] = {
             "how it ended": "{end}",
         },
     ),
+    "second-vehicle": rows_of(
+        "second_vehicle",
+        {
+            "what the link adds": "{attack}",
+            "motors stopped after, s": "{down_s:.1f}",
+            "guard ended after, s": "{ended_s:.1f}",
+            "how it ended": "{end}",
+        },
+    ),
     "sitl-core": repeated({"sitl_core_46": "4.6.3", "sitl_core_47": "4.7-dev"}),
     "fault-times": rows_of(
         "fault_times",
