@@ -107,7 +107,12 @@ def test_what_comes_before_the_image_is_computed_once(model: Any, monkeypatch: p
     decode = QwenDecoder(model, end=END, most=1)
     text, counts = model.model.language_model, []
     embed = text.embed_tokens.forward
-    monkeypatch.setattr(text.embed_tokens, "forward", lambda ids: counts.append(ids.shape[1]) or embed(ids))
+
+    def counted(ids: Any) -> Any:
+        counts.append(ids.shape[1])
+        return embed(ids)
+
+    monkeypatch.setattr(text.embed_tokens, "forward", counted)
     whole = question(0)["input_ids"].shape[1]
     for seed, before in ((0, 20), (1, 20), (2, 5), (3, 5)):
         decode(question(seed, before))

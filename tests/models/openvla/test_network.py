@@ -228,6 +228,11 @@ def test_squares_are_prepared_beside_the_network_to_the_same_bits(network):
     frame = np.random.default_rng(3).integers(0, 256, (256, 256, 3), dtype=np.uint8)
     preparation = ImagePreparation(means=((0.1, 0.2, 0.3), (0.4, 0.5, 0.6)))
     seen = []
-    runner = Runner(lambda pixels, *_: seen.append(pixels) or pixels, network, preparation)
+
+    def look(pixels, *_):
+        seen.append(pixels)
+        return pixels
+
+    runner = Runner(look, network, preparation)
     runner(preparation.square(frame)[None], [IDS])
     assert np.array_equal(seen[0][0].numpy(), preparation.pixel_values(frame))
