@@ -211,11 +211,11 @@ def test_a_first_frame_that_does_not_come_ends_the_wait(
     monkeypatch.setattr(gl, "_lost", [])
     thread = gl.GLThread(16, 16)
 
-    def draw() -> None:
+    def hang() -> None:
         stuck.wait(60)
 
     with pytest.raises(FirstFrameError, match=r"drew no frame within 0 s; let fewer processes draw.*RENDERER=cpu"):
-        thread.first(draw)
+        thread.first(hang)
     thread.stop()  # waits for nothing
     stuck.set()
     thread._stopped = False

@@ -187,7 +187,7 @@ def warmed_up(
     lengths: Sequence[int],
     *,
     compiled: bool,
-    backend: str = "inductor",
+    backend: Any = "inductor",
 ) -> Decoder:
     """The decoder of a network, which has answered prompts of some lengths: compiled and recorded before take-off.
 

@@ -229,10 +229,10 @@ def test_squares_are_prepared_beside_the_network_to_the_same_bits(network):
     preparation = ImagePreparation(means=((0.1, 0.2, 0.3), (0.4, 0.5, 0.6)))
     seen = []
 
-    def kept(pixels, *_):
+    def look(pixels, *_):
         seen.append(pixels)
         return pixels
 
-    runner = Runner(kept, network, preparation)
+    runner = Runner(look, network, preparation)
     runner(preparation.square(frame)[None], [IDS])
     assert np.array_equal(seen[0][0].numpy(), preparation.pixel_values(frame))

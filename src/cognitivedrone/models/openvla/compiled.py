@@ -18,7 +18,7 @@ _VARIANTS: Final = 64
 """Compiled codes that a kind of block may have: one for each prompt length, number of rows and kind of pass."""
 
 
-def compile_blocks(network: OpenVlaNetwork, backend: str = "inductor") -> None:
+def compile_blocks(network: OpenVlaNetwork, backend: Any = "inductor") -> None:
     """Compile the towers' blocks and the language model's layers, each kind once for each shape of its inputs.
 
     They are compiled when they are first run. The network is for the decoders from now on, whose memory tells the
@@ -31,7 +31,7 @@ def compile_blocks(network: OpenVlaNetwork, backend: str = "inductor") -> None:
     compile_each(layers, backend)
 
 
-def compiled_layers(layers: Iterable[Any], backend: str) -> list[Any]:
+def compiled_layers(layers: Iterable[Any], backend: Any) -> list[Any]:
     """The layers of a language model of `transformers`, compiled beside themselves; each needs a memory of its own."""
     layers = list(layers)
     _forget_numbers(layers)
@@ -39,7 +39,7 @@ def compiled_layers(layers: Iterable[Any], backend: str) -> list[Any]:
     return [torch.compile(layer, dynamic=False, fullgraph=True, backend=backend) for layer in layers]
 
 
-def compile_each(blocks: Iterable[nn.Module], backend: str) -> None:
+def compile_each(blocks: Iterable[nn.Module], backend: Any) -> None:
     """Compile blocks of one kind in place."""
     _allow_variants()
     for block in blocks:
