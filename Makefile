@@ -1,4 +1,4 @@
-# make bench           environment, install, the smoke suite, table and HTML report
+# make bench           environment, install, the smoke suite, table and HTML report; without make: scripts/bench.py
 # make test            environment, all checks, all tests
 # make docs            the documentation as a site: build/site/index.html
 # make gate            .ci/run, which every commit of the main branch has passed, from a clean clone of HEAD
@@ -23,8 +23,7 @@ RUN := .venv/bin
 .PHONY: bench test tests check docs format gate lock release-check test-hard bench-card test-card test-slow test-smoke test-wheel test-sdist test-lowest test-newest
 
 bench:
-	@$(PYTHON) scripts/setup.py
-	@$(RUN)/cognitivedrone bench --suite open-v1:smoke --policy small --out results/smoke --overwrite
+	@$(PYTHON) scripts/bench.py
 
 check:
 	@$(PYTHON) scripts/setup.py dev

@@ -157,6 +157,12 @@ def sweep_table(points: Sequence[tuple[float, Results]], part: str) -> Renderabl
     return table
 
 
+FRAMES_DIFFER = (
+    "frames of other renderers and processors differ in the last digits (docs/faq.md), so a few flights end otherwise: "
+    "compare how many"
+)
+
+
 def comparison_table(comparison: Comparison) -> RenderableType:
     """Rates side by side and their difference, then the two-by-two tables, and the verdict."""
     title = f"{comparison.suite}\nA: {comparison.name_a}\nB: {comparison.name_b}"
@@ -173,6 +179,8 @@ def comparison_table(comparison: Comparison) -> RenderableType:
     if comparison.left_out:
         notes.append(f"left out, invalid in either run: {comparison.left_out}")
     notes += [f"the runs also differ in {difference}" for difference in comparison.other_differences]
+    if comparison.frames_differ:
+        notes.append(FRAMES_DIFFER)
     verdict = Text(comparison.verdict, style="bold")
     return Group(rates, "", counts, "", *(Text(note, style="dim") for note in notes), verdict)
 
