@@ -157,7 +157,7 @@ def test_recipes_of_before_see_no_places() -> None:
 
 
 def _sees_places(recipe: Any) -> bool:
-    return getattr(recipe, "places", 0.0) > 0 or getattr(getattr(recipe, "stream", None), "places", 0.0) > 0
+    return bool(getattr(recipe, "places", 0.0) or getattr(getattr(recipe, "stream", None), "places", 0.0))
 
 
 def test_words_are_those_of_the_encoder_and_nothing_beyond(encoder: Path) -> None:

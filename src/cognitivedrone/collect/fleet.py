@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.adapters import as_policy
+from cognitivedrone.choices import AppearanceName
 from cognitivedrone.collect.perturbation import Disturbance, disturb, draw_beginning, draw_disturbances
 from cognitivedrone.collect.recipe import Recipe
 from cognitivedrone.control.calls import begin_stage, check_chunk, seed_of
@@ -208,7 +209,7 @@ class Fleet:
 
     def _episode(self, world: int, flight: _Flight) -> Episode:
         start, place = self._worlds.runners[world].start, self._worlds.runners[world].appearance.place
-        look = "photo" if place else self.recipe.look
+        look: AppearanceName = "photo" if place else self.recipe.look
         velocity, height, yaw_rate = zip(*flight.proprioception, strict=True)
         return Episode(
             index=flight.index,

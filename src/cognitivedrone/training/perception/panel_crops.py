@@ -227,7 +227,7 @@ def _part_of_place(side: int, rng: np.random.Generator) -> PillowImage.Image:
     box = (left, max(top, 0.0), left + part, max(top, 0.0) + part)
     shown = place.resize((side, side), PillowImage.Resampling.BILINEAR, box=box)
     brightness = rng.uniform(0.7, 1.0)
-    return shown.point(lambda value: int(value * brightness))
+    return shown.point([int(level * brightness) for level in range(256)] * 3)
 
 
 def _exposed(pixels: FloatArray, rng: np.random.Generator) -> Image:
