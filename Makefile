@@ -1,4 +1,4 @@
-# make bench           environment, install, the smoke suite, table and HTML report
+# make bench           environment, install, the smoke suite, table and HTML report; without make: scripts/bench.py
 # make test            environment, all checks, all tests
 # make docs            the documentation as a site: build/site/index.html
 # make gate            .ci/run, which every commit of the main branch has passed, from a clean clone of HEAD
@@ -6,6 +6,9 @@
 # make test-hard       whether the tests depend on anything but the code: three times, on a busy machine, in random order,
 #                      after a kill; two hours or so. PARTS="tests/files tests/labels" takes these tests alone
 # make lock            constraints.txt from pyproject.toml; UPGRADE=1 takes the newest of everything
+#
+# make bench-card      everything about a graphics card in eight minutes, into results/ and the tables of docs/
+# make test-card       what only an NVIDIA graphics card can show; all other tests hide it, so that they are the same everywhere
 #
 # Parts of release-check:
 # make test-slow       whole flights and trainings of more than 20 s, which make test leaves out
@@ -17,11 +20,10 @@
 PYTHON ?= python3
 RUN := .venv/bin
 
-.PHONY: bench test tests check docs format gate lock release-check test-hard test-slow test-smoke test-wheel test-sdist test-lowest test-newest
+.PHONY: bench test tests check docs format gate lock release-check test-hard bench-card test-card test-slow test-smoke test-wheel test-sdist test-lowest test-newest
 
 bench:
-	@$(PYTHON) scripts/setup.py
-	@$(RUN)/cognitivedrone bench --suite open-v1:smoke --policy small --out results/smoke --overwrite
+	@$(PYTHON) scripts/bench.py
 
 check:
 	@$(PYTHON) scripts/setup.py dev
@@ -57,6 +59,14 @@ lock:
 test-hard:
 	$(PYTHON) scripts/setup.py dev
 	$(RUN)/python scripts/test_hard.py $(PARTS)
+
+bench-card:
+	@$(PYTHON) scripts/setup.py dev
+	$(RUN)/python benchmarks/card.py
+
+test-card:
+	@$(PYTHON) scripts/setup.py dev
+	CARD=1 $(RUN)/pytest -m card --durations 10
 
 test-slow:
 	SLOW=1 $(RUN)/pytest -m slow --durations 0

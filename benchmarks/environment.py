@@ -1,6 +1,6 @@
 """Speed of the environments: control steps with full dynamics and 256x256 frames, and the time of a task change.
 
-Run: python benchmarks/environment.py [--out results/environment.json]
+Run: python benchmarks/environment.py [--many] [--out results/environment.json]
 
 Prints medians over repetitions, and their ratio to gym-pybullet-drones (github.com/learnsyslab/gym-pybullet-drones).
 Where that can be imported it flies in the same repetitions, turn by turn; else the ratio is to a figure that was
@@ -104,12 +104,16 @@ def reset_seconds() -> float:
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, help=OUT_HELP)
-    out = parser.parse_args(arguments).out
+    parser.add_argument("--many", action="store_true", help="64 worlds as well, which pay off on a graphics card")
+    options = parser.parse_args(arguments)
+    out = options.out
     cores = len(os.sched_getaffinity(0))
     print(f"{platform.machine()}, {cores} cores, {renderer_name()}, {os.getloadavg()[0]:.1f} processes running already")
     contenders = {"one world": single(), "vector of 4": vector(4), "vector of 16": vector(16)}
     contenders["vector of 16, obstacles"] = vector(16, suite="open-v3:clutter")
     worlds = dict(zip(contenders, (1, 4, 16, 16), strict=True))
+    if options.many:
+        contenders["vector of 64"], worlds["vector of 64"] = vector(64), 64
     together = importlib.util.find_spec("gym_pybullet_drones") is not None
     if together:
         contenders[PEER] = peer()

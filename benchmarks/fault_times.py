@@ -224,7 +224,7 @@ _FLOOD = (
     "fault(); n = drone._sequence\n"
     "            while True:\n"
     "                n += 1\n"
-    "                try: drone._socket.send(pack(Kind.FRAME, n, time.monotonic_ns()), 64)\n"
+    "                try: drone._socket.send(pack(Kind.FRAME, n, time.monotonic_ns()))\n"
     "                except OSError: pass"
 )
 _NONSENSE = "fault()\n            for _ in range(20): drone._socket.send(os.urandom(80))\n            time.sleep(30)"

@@ -3,14 +3,16 @@
 Run: python benchmarks/openvla_gpu.py --lora --together --out docs/openvla_gpu.md
 
 For each decoder and quantisation: median and 99th percentile of a whole control step (preparation, network, answer back
-on the host), the rate, its ratio to the 10 Hz of the paper, and the peak GPU memory in flight.
+on the host), the rate, its ratio to the 10 Hz of the paper, the peak GPU memory in flight, and the time to the first
+answer, with compiling and recording.
 
 With --lora: samples a second and peak memory of fine-tuning at several batch sizes and of the paper's batch of 64 by
 accumulation, beside the loop of the published recipe on the same card. Needs peft.
 
 With --together: the policy at 10 Hz and a reasoner of Qwen2.5-VL-7B's sizes at 2 Hz on one card, how many deadlines
 were missed by over 10 ms, and how many of the answers that were due came at all. The reasoner answers by Transformers'
-own loop, as `vlm-local` does, and once more with its words recorded as a CUDA graph.
+own loop; by ours, with its words recorded as CUDA graphs; and by ours with the words that the schema forces appended
+without passes of their own, as `vlm-local` does.
 
 Quantisations need torchao. A failed measurement is reported in its row, and the rest continues. On a machine without a
 GPU it says so and runs the tiny networks on the same paths, which says nothing about the large ones.
@@ -32,7 +34,8 @@ from openvla_gpu_together import together
 
 from cognitivedrone.benchmark.measurements import OUT_HELP, command_line
 from cognitivedrone.models.openvla.checkpoint import Quantisation
-from cognitivedrone.models.openvla.decode import Autoregressive, Decoder, Parallel, greedy_tokens
+from cognitivedrone.models.openvla.compiled import compile_blocks
+from cognitivedrone.models.openvla.decode import Autoregressive, Decoder, Parallel, Runner, greedy_tokens
 from cognitivedrone.models.openvla.network import OpenVlaNetwork
 from cognitivedrone.models.openvla.prepare import ImagePreparation
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE
@@ -47,22 +50,23 @@ class WithoutGraph:
 
     def __init__(self, network: OpenVlaNetwork) -> None:
         self._network = network
+        self._runner = Runner(lambda *inputs: greedy_tokens(network, *inputs), network)
 
     def __call__(self, pixel_values: np.ndarray, input_ids: list[int]) -> np.ndarray:
         """Ids (4,) of the words."""
         weight = self._network.projector.fc1.bias
         with torch.inference_mode():
-            pixels = torch.from_numpy(pixel_values)[None].to(weight.device, weight.dtype)
             ids = torch.tensor([input_ids], device=weight.device)
             count = torch.tensor([len(input_ids)], device=weight.device)
-            return greedy_tokens(self._network, pixels, ids, count)[0].cpu().numpy()
+            pixels = torch.from_numpy(np.array(pixel_values))[None].to(weight.device)
+            return self._runner.step(pixels, ids, count)[0].cpu().numpy()
 
 
 def control_step(decode: Any) -> Callable[[], object]:
     """A step from frame to answer, each time of another of eight frames."""
     rng = np.random.default_rng(0)
     frames = rng.integers(0, 256, (8, IMAGE_SIZE, IMAGE_SIZE, 3), dtype=np.uint8)
-    prepare, taken = ImagePreparation().pixel_values, 0
+    prepare, taken = ImagePreparation().square, 0
 
     def step() -> object:
         nonlocal taken
@@ -82,28 +86,37 @@ def milliseconds(step: Callable[[], object], count: int) -> np.ndarray:
     return np.array(times[5:])
 
 
-def decoders(*, compiled: bool) -> Iterator[tuple[str, Callable[[OpenVlaNetwork], Decoder | WithoutGraph], int]]:
-    """Name, maker, and the actions that a step gives."""
-    if not compiled:
+def decoders(
+    quantisation: Quantisation,
+) -> Iterator[tuple[str, Callable[[OpenVlaNetwork], Decoder | WithoutGraph], int]]:
+    """Name, maker, and the actions that a step gives; from the first compiled one on, the network stays so."""
+    if quantisation == "none":
         yield "ar, without its graph", WithoutGraph, 1
-    yield "ar", lambda network: Autoregressive(network, compiled=compiled), 1
-    yield "parallel", lambda network: Parallel(network, compiled=compiled), CHUNK
+        yield "ar", Autoregressive, 1
+        yield "parallel", Parallel, CHUNK
+    yield "ar, compiled", Autoregressive, 1
+    yield "parallel, compiled", Parallel, CHUNK
 
 
 def flying(report: Report, quantisations: Sequence[Quantisation], steps: int) -> None:
     """Measure each decoder with each quantisation."""
-    report.table("One control step", "median", "p99", "rate", "to 10 Hz", "actions", "peak memory")
+    report.table("One control step", "median", "p99", "rate", "to 10 Hz", "actions", "peak memory", "first answer")
     for quantisation in quantisations:
         with report.measuring(quantisation):
             network = report.machine.network(CHUNK, quantisation)
-            compiled = report.machine.large and quantisation != "none"
-            for name, make, actions in decoders(compiled=compiled):
+            for name, make, actions in decoders(quantisation):
                 with report.measuring(f"{quantisation}, {name}"):
-                    times = milliseconds(control_step(make(network)), steps)
+                    begin = time.perf_counter()
+                    if name == "ar, compiled":
+                        compile_blocks(network, report.machine.compiler)
+                    step = control_step(make(network))
+                    step()
+                    first = time.perf_counter() - begin
+                    times = milliseconds(step, steps)
                     median, slow = np.percentile(times, [50, 99])
                     rate = 1e3 / median
                     cells = f"{median:.1f} ms", f"{slow:.1f} ms", f"{rate:.1f} Hz", f"{rate / CONTROL_HZ:.1f} x"
-                    report.row(f"{quantisation}, {name}", *cells, str(actions), report.machine.peak())
+                    report.row(f"{quantisation}, {name}", *cells, str(actions), report.machine.peak(), f"{first:.1f} s")
             del network
 
 
@@ -115,8 +128,9 @@ def both(report: Report, quantisations: Sequence[Quantisation], seconds: float) 
     )
     for quantisation in quantisations:
         with report.measuring(f"{quantisation}, together"):
-            compiled = report.machine.large and quantisation != "none"
-            step = control_step(Autoregressive(report.machine.network(None, quantisation), compiled=compiled))
+            network = report.machine.network(None, quantisation)
+            compile_blocks(network, report.machine.compiler)
+            step = control_step(Autoregressive(network))
             step()  # records, or compiles and records
             together(report, quantisation, step, seconds)
             del step
@@ -130,10 +144,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--lora", action="store_true", help="measure fine-tuning as well")
     parser.add_argument("--together", action="store_true", help="measure policy and reasoner on one card as well")
     parser.add_argument("--seconds", type=float, default=60.0, help="of flight of policy and reasoner together")
+    parser.add_argument("--add", action="store_true", help="keep the other rows that are in the file of figures")
     parser.add_argument("--out", type=Path, help=OUT_HELP)
     options = parser.parse_args(arguments)
     machine = find_machine()
-    report = Report(machine, options.out)
+    report = Report(machine, options.out, add=options.add)
     given = sys.argv[1:] if arguments is None else arguments
     report.begin(command_line(["benchmarks/openvla_gpu.py", *given]))
     quantisations = options.quant or (get_args(Quantisation) if machine.large else ["none"])

@@ -123,8 +123,7 @@ def samples_per_s(
 def training(report: Report, batches: Sequence[int], whole: int) -> None:
     """Measure each way at each batch that fits, and steps of `whole` samples by accumulation.
 
-    Those are in micro-batches of the recipe, or the largest that fits where that is less, and for the published loop
-    of the largest that fits.
+    Those are in micro-batches of the largest size that fits and divides them.
     """
     report.table("LoRA of rank 32 on all linear layers, bfloat16, AdamW", "samples/s", "to published", "peak memory")
     network, trained = adapted(report.machine)
@@ -147,7 +146,7 @@ def training(report: Report, batches: Sequence[int], whole: int) -> None:
     for way in WAYS:
         fitting = list(takewhile(lambda size, way=way: measure(way, f"batch {size}", size, 1), batches))  # type: ignore[misc]
         if fitting:
-            micro = fitting[-1] if way is PUBLISHED else min(fitting[-1], PAPER.micro_batch)
+            micro = fitting[-1]
             measure(way, f"batch {whole} by {micro}", micro, whole // micro)
 
 

@@ -14,7 +14,8 @@ from typing import Any
 import torch
 import transformers
 
-from cognitivedrone.benchmark.measurements import measurement, write_measurement
+from cognitivedrone.benchmark.measurements import machine_of, measurement, read_measurement, write_measurement
+from cognitivedrone.benchmark.runs.provenance import platform_facts
 from cognitivedrone.models.openvla.checkpoint import Quantisation
 from cognitivedrone.models.openvla.config import Config, tiny_config
 from cognitivedrone.models.openvla.network import OpenVlaNetwork
@@ -44,6 +45,11 @@ class Machine:
         made = random_network(config, self.device, self.dtype)
         quantise(made.language_model.model.layers, quantisation, self.device)
         return made
+
+    @property
+    def compiler(self) -> str:
+        """The compiler of blocks: on the host, one that runs what was traced."""
+        return "inductor" if self.large else "eager"
 
     def wait(self) -> None:
         """Wait until the GPU has finished all its work."""
@@ -76,6 +82,8 @@ class Report:
 
     machine: Machine
     out: Path | None = None
+    add: bool = False
+    """Whether the rows of an earlier run on this machine stay in the file, but for those that are measured again."""
     _command: str = ""
     _title: str = ""
     _columns: tuple[str, ...] = ()
@@ -84,6 +92,10 @@ class Report:
     def begin(self, command: str) -> None:
         """Say where, when and by what is measured."""
         self._command = command
+        if self.add and self.out is not None and self.out.is_file():
+            before = read_measurement(self.out)
+            if before.machine == self._where() and before.date == f"{datetime.now(UTC):%Y-%m-%d}":
+                self._rows = [dict(row) for row in before.rows]
         versions = ", ".join(f"{name} {version}" for name, version in self._versions().items())
         print(f"{self.machine.name}, {versions}, {datetime.now(UTC):%Y-%m-%d}: {command}")
         if not self.machine.large:
@@ -98,7 +110,8 @@ class Report:
     def row(self, name: str, *cells: str) -> None:
         """Add a row to the newest table."""
         print(_aligned((name, *cells)), flush=True)
-        self._rows.append({"table": self._title, "row": name, **dict(zip(self._columns, cells, strict=False))})
+        made = {"table": self._title, "row": name, **dict(zip(self._columns, cells, strict=False))}
+        self._rows = [row for row in self._rows if (row["table"], row["row"]) != (self._title, name)] + [made]
         self._write()
 
     @contextmanager
@@ -119,12 +132,14 @@ class Report:
         cuda = {"cuda": str(torch.version.cuda)} if self.machine.large else {}
         return {"torch": torch.__version__, "transformers": transformers.__version__, **cuda}
 
+    def _where(self) -> str:
+        return f"{self.machine.name}, {machine_of(platform_facts(self._command))}"
+
     def _write(self) -> None:
         if self.out is not None:
             made = measurement("OpenVLA-7B with random weights on a GPU", self._command, self._rows, seed=0)
-            where = f"{self.machine.name}, {made.machine}"
             note = "" if self.machine.large else TINY
-            made = replace(made, machine=where, versions={**made.versions, **self._versions()}, note=note)
+            made = replace(made, machine=self._where(), versions={**made.versions, **self._versions()}, note=note)
             write_measurement(self.out, made)
 
 

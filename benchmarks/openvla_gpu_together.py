@@ -6,10 +6,10 @@ its image processor nor its tokenizer takes part.
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -21,9 +21,8 @@ from openvla_gpu_report import Machine, Report
 from torch import Tensor
 
 from cognitivedrone.models.openvla.checkpoint import Quantisation
-from cognitivedrone.models.openvla.config import LanguageSize
-from cognitivedrone.models.openvla.decode import Graph, KeyValues
 from cognitivedrone.models.openvla.weights import quantise
+from cognitivedrone.models.qwen_decoder import Forms, QwenDecoder
 from cognitivedrone.types import CONTROL_HZ
 
 REASONER_HZ = 2
@@ -112,7 +111,7 @@ def some_inputs(model: Any, seed: int = 0) -> dict[str, Tensor]:
 
 
 class Generated:
-    """Answers by Transformers' own loop, as `vlm-local` does."""
+    """Answers by Transformers' own loop."""
 
     def __init__(self, model: Any) -> None:
         self._model = model
@@ -129,70 +128,27 @@ class Generated:
 
 
 class Recorded:
-    """The same answers, each word after the first by one function that a GPU records once as a CUDA graph."""
+    """The same answers by our own loop, or with `forced` ones, as `vlm-local` gives them."""
 
-    def __init__(self, model: Any, *, compiled: bool) -> None:
-        self._model, self._text = model, model.model.language_model
-        told = model.config.text_config
-        size = LanguageSize(
-            hidden_size=told.hidden_size,
-            num_hidden_layers=told.num_hidden_layers,
-            num_attention_heads=told.num_attention_heads,
-            num_key_value_heads=told.num_key_value_heads,
+    def __init__(self, model: Any, *, forced: bool = False, compiler: str | None = None) -> None:
+        self.decode = QwenDecoder(
+            model, end=-1, most=ANSWER, forms=Forms(some_answers()) if forced else None, compiler=compiler
         )
-        like, room = model.lm_head.weight, PROMPT + GRID[0] * GRID[1] // 4 + 1 + ANSWER
-        self._memory = KeyValues(size, like, room)
-        self._places = torch.arange(room, device=like.device)
-        self._place = torch.zeros(1, dtype=torch.int64, device=like.device)
-        self._step = torch.compile(self._next, dynamic=False, fullgraph=True) if compiled else self._next
-        self._graph: Graph | None = None
-        self._stream: Any = torch.cuda.Stream() if like.is_cuda else None  # type: ignore[no-untyped-call]
-        if self._stream is not None:
-            self._stream.wait_stream(torch.cuda.current_stream())  # the weights are made there
 
     def __call__(self, inputs: dict[str, Tensor]) -> list[int]:
         """`ANSWER` ids of words."""
-        with torch.inference_mode(), nullcontext() if self._stream is None else torch.cuda.stream(self._stream):
-            return self._answer(inputs)
+        return self.decode(inputs)
 
-    def _answer(self, inputs: dict[str, Tensor]) -> list[int]:
-        ids, grid = inputs["input_ids"], inputs["image_grid_thw"]
-        positions, shift = self._model.model.get_rope_index(ids, inputs["mm_token_type_ids"], image_grid_thw=grid)
-        patches = self._model.model.get_image_features(inputs["pixel_values"], grid).pooler_output[0]
-        embedded = self._text.embed_tokens(ids)
-        embedded[ids == self._model.config.image_token_id] = patches
-        self._memory.place = None
-        token = self._likeliest(embedded, None, positions)
-        self._memory.place = self._place
-        self._place.fill_(ids.shape[1])
-        position = (shift + ids.shape[1]).expand(3, 1, 1).clone()
-        answer = [int(token)]
-        while len(answer) < ANSWER:
-            token = self._run(token, position)
-            answer.append(int(token))  # waits for the word, as whoever looks for the answer's end has to
-            self._place += 1
-            position += 1
-        return answer
 
-    def _run(self, token: Tensor, position: Tensor) -> Tensor:
-        if self._stream is None:
-            return self._step(token, position)
-        if self._graph is None:
-            self._graph = Graph(self._step, (token, position))
-        return self._graph(token, position)
-
-    def _next(self, token: Tensor, position: Tensor) -> Tensor:
-        """The word (1, 1) after `token`, which goes to the memory's place; `position` (3, 1, 1)."""
-        mask = (self._places <= self._place)[None, None, None]
-        return self._likeliest(self._text.embed_tokens(token), mask, position)
-
-    def _likeliest(self, states: Tensor, mask: Tensor | None, positions: Tensor) -> Tensor:
-        rotation = self._text.rotary_emb(states, positions)
-        for layer in self._text.layers:
-            # By place: the name of the last one differs between versions of transformers.
-            states = layer(states, mask, None, self._memory, use_cache=True, position_embeddings=rotation)
-        token: Tensor = self._model.lm_head(self._text.norm(states[:, -1:])).argmax(-1)
-        return token
+def some_answers() -> list[list[int]]:
+    """Answers as the schema has them: `ANSWER` words, of which three are chosen, of 2, 4 and 3 that are possible."""
+    first, second, third = 6, 12, 18
+    made = []
+    for size, color, shape in itertools.product(range(2), range(4), range(3)):
+        answer = [*range(20, 20 + ANSWER)]
+        answer[first], answer[second], answer[third] = 100 + size, 110 + color, 120 + shape
+        made.append(answer)
+    return made
 
 
 @dataclass(frozen=True)
@@ -229,10 +185,12 @@ def together(report: Report, quantisation: Quantisation, policy: Callable[[], ob
     _tell(report, f"{quantisation} policy, alone", alone, report.machine.peak())
     model = random_reasoner(report.machine, quantisation)
     inputs = some_inputs(model)
-    compiled = report.machine.large and quantisation != "none"
+    compiler = report.machine.compiler
     ways: dict[str, Callable[[], Callable[[dict[str, Tensor]], list[int]]]] = {
         "generate()": lambda: Generated(model),
-        "recorded": lambda: Recorded(model, compiled=compiled),
+        "recorded": lambda: Recorded(model),
+        "recorded, compiled": lambda: Recorded(model, compiler=compiler),
+        "recorded, compiled, forced words": lambda: Recorded(model, forced=True, compiler=compiler),
     }
     for way, make in ways.items():
         with report.measuring(f"{quantisation} policy and reasoner, {way}"):

@@ -51,9 +51,11 @@ def main() -> None:
     keep(options.out, "Rendering alone: 16 worlds, 256x256 RGB, medians over rounds", rows, seed=0)
 
 
-def frame_rate(looks: list[Appearance], threads: int, rounds: int, rng: np.random.Generator) -> float:
+def frame_rate(
+    looks: list[Appearance], threads: int, rounds: int, rng: np.random.Generator, *, contexts: int | None = None
+) -> float:
     out = np.empty((WORLDS, 256, 256, 3), np.uint8)
-    with Cameras(WORLDS, threads=threads) as cameras:
+    with Cameras(WORLDS, threads=threads, contexts=contexts) as cameras:
         for slot, appearance in enumerate(looks):
             cameras.set_stage(slot, random_stage(rng), pictures(rng), appearance=appearance)
 

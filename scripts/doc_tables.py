@@ -237,6 +237,13 @@ TABLES: Final[dict[str, Description]] = {
         {"what": "{what}", "control steps/s": "{steps_per_s:,.0f}", "date": "{date}", "ratio": "{ratio:.2g}"},
         having="steps_per_s",
     ),
+    "environment-card": rows_of(
+        "environment_card", {"what": "{what}", "control steps/s": "{steps_per_s:,.0f}"}, having="steps_per_s"
+    ),
+    "rendering-contexts": rows_of(
+        "rendering_contexts",
+        {"OpenGL contexts": "{contexts}", "frames/s": "{frames_per_s:,.0f}", "drawn by": "{renderer}"},
+    ),
     # docs/suites.md
     "evaluations": rows_of(
         "evaluations",
@@ -427,6 +434,15 @@ TABLES: Final[dict[str, Description]] = {
             "stopped": "{stopped_s:.1f}",
             "mode changed": "{mode_s:.1f}",
             "motors stopped": "{down_s:.1f}",
+            "how it ended": "{end}",
+        },
+    ),
+    "second-vehicle": rows_of(
+        "second_vehicle",
+        {
+            "what the link adds": "{attack}",
+            "motors stopped after, s": "{down_s:.1f}",
+            "guard ended after, s": "{ended_s:.1f}",
             "how it ended": "{end}",
         },
     ),

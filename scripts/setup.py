@@ -5,6 +5,8 @@ Usage: python3 scripts/setup.py [EXTRA ...]
 Every dependency comes in the version that constraints.txt names, so that a package that is released tonight changes
 nothing here tomorrow. An installation that was killed is begun anew.
 
+The same on Linux, macOS and Windows (`python scripts/setup.py`); `scripts/bench.py` flies the smoke suite after it.
+
 Works where Debian's python3 comes without `venv`, and looks for an OpenGL library for off-screen rendering and, for
 the tests, for libsdformat. System packages are installed by root alone: asked for at a terminal, said beforehand
 elsewhere. Everybody else is shown the line to type.
@@ -19,6 +21,7 @@ import ctypes.util
 import hashlib
 import json
 import os
+import platform
 import shutil
 import subprocess
 import sys
@@ -26,11 +29,18 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / ".venv"
-PYTHON = VENV / "bin" / "python"
+WINDOWS = sys.platform == "win32"
+PYTHON = VENV / ("Scripts/python.exe" if WINDOWS else "bin/python")
 LOCK = "constraints.txt"
 GL_PACKAGES = ["libegl1", "libgl1-mesa-dri", "libopengl0"]
 SDFORMAT = "libsdformat12-12"
 TORCH = "torch==2.13.0"  # as in the extra dev-torch
+NEWER = {"darwin": " Get one from python.org or with: brew install python", "win32": " Get one from python.org."}
+ON_AN_APPLE = "on an Apple processor, take a Python that is built for arm64, else a machine with Linux"
+NO_MUJOCO = {
+    ("darwin", "x86_64"): f"Intel Macs; {ON_AN_APPLE}",
+    ("win32", "arm64"): "Windows on ARM; take Python's 64-bit version for x86, or WSL2",
+}
 WITHOUT_TORCH = """\
 PyTorch is left out: what pip would install here is the build with CUDA's libraries, about 3 GB to download, and this
 machine has no NVIDIA GPU. The tests that need it are skipped. To have it all the same: make test TORCH=1
@@ -44,7 +54,7 @@ def run(*command: object) -> bool:
 def apt_install(packages: list[str], purpose: str, without: str) -> bool:
     """Install Debian packages as root, with consent or after saying so; show anybody else the line to type."""
     line = f"apt-get install -y --no-install-recommends {' '.join(packages)}"
-    root = os.geteuid() == 0 and shutil.which("apt-get") is not None
+    root = shutil.which("apt-get") is not None and os.geteuid() == 0
     if root and sys.stdin.isatty():
         root = input(f"For {purpose}, system-wide: {line}\nInstall now? [Y/n] ").strip().lower() in ("", "y", "yes")
     if root:
@@ -150,8 +160,13 @@ def ensure_opengl() -> None:
     probe = [str(PYTHON), "-c", "from cognitivedrone.sim.gl import backend; backend()"]
     without = "no picture can be rendered, so only policies that look at none can be scored (oracle, hover)"
     for attempt in range(2):
-        if subprocess.run(probe, check=False, capture_output=True).returncode == 0:
+        done = subprocess.run(probe, check=False, capture_output=True)
+        if done.returncode == 0:
             stamp.touch()
+            return
+        if not sys.platform.startswith("linux"):
+            said = done.stderr.decode(errors="replace").strip().splitlines()
+            print(f"Without it {without}: {said[-1] if said else 'OpenGL does not start'}", file=sys.stderr, flush=True)
             return
         if attempt or not apt_install(GL_PACKAGES, "off-screen rendering", without):
             return  # what needs no pictures works all the same; what does says what is missing
@@ -168,7 +183,9 @@ def ensure_sdformat() -> None:
 
 def main() -> None:
     if sys.version_info < (3, 11):  # noqa: UP036 - the reader's Python may be any
-        sys.exit(f"Python 3.11 or newer is needed; this is {sys.version.split()[0]}.")
+        sys.exit(f"Python 3.11 or newer is needed; this is {sys.version.split()[0]}.{NEWER.get(sys.platform, '')}")
+    if trouble := NO_MUJOCO.get((sys.platform, platform.machine().lower())):
+        sys.exit(f"MuJoCo has no wheels for {trouble}.")
     extras = sorted(sys.argv[1:])
     if any(extra.startswith("-") for extra in extras):
         sys.exit(__doc__)

@@ -22,6 +22,7 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
+BIN = "Scripts" if sys.platform == "win32" else "bin"
 EXTRAS = ["mavlink", "ros", "test", "vlm"]  # those that bring no PyTorch and no Ray
 FAST_TESTS = ["benchmark", "contract", "data", "envs", "control", "labels", "models", "policies", "reasoners", "sim"]
 FAST_TESTS += ["tasks", "world", "test_cli.py", "test_errors.py", "test_frames.py", "test_imports.py", "test_types.py"]
@@ -41,10 +42,10 @@ def step(what: str, *command: object, cwd: Path = ROOT) -> None:
 
 def pinned_to_lowest(pip: list[object], folder: Path) -> list[object]:
     """Arguments of pip for the lowest version of every direct dependency."""
-    uv = shutil.which("uv") or folder / "venv" / "bin" / "uv"
+    uv = shutil.which("uv") or folder / "venv" / BIN / "uv"
     if not Path(uv).exists():
         step("uv", *pip, "install", "--quiet", "uv")
-    python = folder / "venv" / "bin" / "python"
+    python = folder / "venv" / BIN / "python"
     compiling = [uv, "pip", "compile", "--quiet", "--resolution", "lowest-direct"]
     compiling += [f"--extra={extra}" for extra in EXTRAS]
     step("lowest versions", *compiling, "--python", python, "-o", folder / "lowest.txt", ROOT / "pyproject.toml")
@@ -72,7 +73,7 @@ def main() -> None:
     lowest = options.lowest
     with tempfile.TemporaryDirectory(prefix="cognitivedrone-wheel-") as name:
         folder = Path(name)
-        binaries = folder / "venv" / "bin"
+        binaries = folder / "venv" / BIN
         pip: list[object] = [binaries / "python", "-m", "pip", "--disable-pip-version-check"]
         print(f"Python {sys.version.split()[0]}, {'lowest' if lowest else 'newest'} versions", flush=True)
         step("environment", sys.executable, "-m", "venv", folder / "venv")

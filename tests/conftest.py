@@ -18,6 +18,11 @@ from hypothesis import settings
 
 from cognitivedrone.errors import MissingExtra
 
+# Before anything imports PyTorch: the tests are the same with a graphics card as without one (`make test-card`).
+CARD = os.environ.get("CARD") == "1"
+if not CARD:
+    os.environ["CUDA_VISIBLE_DEVICES"] = ""
+
 # Tests load models/tiny.py and what lies in support/ by their names.
 for folder in ("models", "support"):
     sys.path.insert(0, str(Path(__file__).parent / folder))
@@ -32,7 +37,7 @@ settings.load_profile("no deadline")
 # tests start and signal would inherit that. A handler, which is not inherited, keeps the tests themselves going.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
-if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     signal.signal(signal.SIGHUP, lambda number, frame: None)
 
 OPTIONAL: tuple[str, ...] = (
@@ -55,12 +60,17 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Slow tests are skipped without SLOW=1. In a random order the tests of a module stay together, as their fixtures
-    do; the order is that of the seed, so that all of xdist's processes have the same one."""
+    """Slow tests are skipped without SLOW=1, tests of a graphics card without CARD=1. In a random order the tests of a
+    module stay together, as their fixtures do; the order is that of the seed, so that all of xdist's processes have the
+    same one."""
     if os.environ.get("SLOW") != "1":
         for item in items:
             if item.get_closest_marker("slow"):
                 item.add_marker(pytest.mark.skip(reason="takes long: make test-slow"))
+    if not CARD:
+        for item in items:
+            if item.get_closest_marker("card"):
+                item.add_marker(pytest.mark.skip(reason="needs a graphics card: make test-card"))
     if seed := config.getoption("--shuffle"):
         modules = [list(tests) for _, tests in itertools.groupby(items, key=lambda item: item.path)]
         numbers = random.Random(seed)

@@ -95,6 +95,12 @@ def odd_files(tmp_path: Path) -> dict[str, Path]:
     }
 
 
+@pytest.mark.parametrize("name", ["con", "NUL", "aux.png", "com1", "lpt9.tar.gz", "prn .x"])
+def test_a_device_of_windows_is_no_file_anywhere(name):
+    assert safe_name(name).startswith(f"_{name}-")
+    assert safe_name(f"{name[:3]}sole") == f"{name[:3]}sole"
+
+
 def test_nothing_but_files_is_read_and_nothing_is_waited_for(odd_files: dict[str, Path]) -> None:
     for says, path in odd_files.items():
         for ask in (check_regular, digest_of_file, lambda path: read_regular(path, 10)):

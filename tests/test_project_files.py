@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import subprocess
 import tomllib
 from pathlib import Path
 
@@ -54,6 +55,15 @@ def test_every_target_of_make_that_is_named_exists():
     named = set(re.findall(r"(?:^|`)make ([\w-]+)", text("CONTRIBUTING.md"), flags=re.MULTILINE))
     assert named
     assert named <= targets
+
+
+def test_no_clone_changes_the_ends_of_lines():
+    files = ["src/cognitivedrone/labels/packs/open-v1/manifest.json", "README.md", "scripts/setup.py"]
+    command = ["git", "check-attr", "text", "--", *files]
+    if not (ROOT / ".git").exists():
+        pytest.skip("no clone")
+    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert said.splitlines() == [f"{file}: text: unset" for file in files]
 
 
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").iterdir())

@@ -55,6 +55,7 @@ EventKind = (
         "asked",
         "stale",
         "late",
+        "unaided",
         "declined",
         "resumed",
         "lost",
@@ -69,10 +70,10 @@ EventKind = (
     | ReasonerFault
 )
 """What happened in a flight: a new instruction, a question, an answer to an earlier instruction, a missed deadline,
-what the filter did with an answer, the pilot reports that no gate matches the instruction (`declined`), and no longer
-does (`resumed`), the policy only holds the position because its server does not answer (`lost`), and no longer does
-(`back`). `fly` adds the safety rules' decisions, `hold` and `sure` (it hovers because the
-reasoner is unsure, and flies on), and the flight's end."""
+that the reasoner has been late for so long that the policy flies without it (`unaided`), what the filter did with an
+answer, the pilot reports that no gate matches the instruction (`declined`), and no longer does (`resumed`), the policy
+only holds the position because its server does not answer (`lost`), and no longer does (`back`). `fly` adds the safety
+rules' decisions, `hold` and `sure` (it hovers because the reasoner is unsure, and flies on), and the flight's end."""
 
 DecisionKind = Literal["fly", "hold", "brake", "land", "hands_off"]
 """Decisions of the safety rules, from mildest to strictest; `hands_off` leaves the vehicle to its pilot."""

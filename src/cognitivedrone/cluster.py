@@ -8,13 +8,16 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from cognitivedrone.errors import CognitiveDroneError, import_extra
+from cognitivedrone.errors import CognitiveDroneError, UsageError, import_extra
 from cognitivedrone.processes import isolated
+from cognitivedrone.system import refusal
 from cognitivedrone.usage_reports import switch_off
 
 
 def import_ray() -> Any:
-    """The Ray module; raises `MissingExtra` if it is not installed."""
+    """The Ray module; raises `MissingExtra` if it is not installed, `UsageError` on Windows."""
+    if refused := refusal("--executor ray"):
+        raise UsageError(refused)
     switch_off()
     return import_extra("ray", "ray")
 

@@ -86,6 +86,10 @@ class RenderError(CognitiveDroneError):
     """No OpenGL to render with."""
 
 
+class FirstFrameError(RenderError):
+    """A graphics card that takes contexts but returns no frame, as with too many processes on it."""
+
+
 class SimulationError(CognitiveDroneError):
     """Flight conditions that cannot be simulated, such as a negative wind or an unreadable delay."""
 

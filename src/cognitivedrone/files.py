@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import hashlib
 import os
 import re
@@ -34,8 +33,10 @@ from io import BufferedReader
 from pathlib import Path, PurePath
 from typing import BinaryIO
 
+from cognitivedrone import system
 from cognitivedrone.errors import CognitiveDroneError
 from cognitivedrone.shortages import way_out_of
+from cognitivedrone.system import FOLDER, NO_LINK, NO_WAIT, OURS
 
 LONGEST_NAME = 100
 """Maximum length of the result of `safe_name` in bytes of UTF-8; file systems allow 255."""
@@ -58,6 +59,7 @@ _LITTER = frozenset(
 )  # fmt: skip
 """Names, casefolded, of what Macs, Windows and network disks leave in folders."""
 _HIDDEN = re.compile(r"\.[^.]")
+_DEVICE = re.compile(r"(?i)(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])( *\..*)?")
 _DIGITS = re.compile(r"(\d+)")
 
 
@@ -84,12 +86,14 @@ def safe_name(text: str) -> str:
     """A name for one file or folder that resembles `text`, whatever that contains: never a path, hidden or empty.
 
     Letters, digits, space and `._-` stay. A text that had to be changed or cut gets a part of its hash, so that
-    `a/b` and `a_b` stay distinct.
+    `a/b` and `a_b` stay distinct; so do the names of Windows' devices, such as `con`, on every system.
     """
     composed = unicodedata.normalize("NFKC", text)
     kept = "".join(each if _fits(each) else "_" for each in composed).strip(" .")
     short = kept.encode()[: LONGEST_NAME - _HASHED - 1].decode(errors="ignore").strip(" .")
-    if kept == text and len(kept.encode()) <= LONGEST_NAME and kept:
+    if _DEVICE.fullmatch(kept):
+        short = f"_{short}"
+    elif kept == text and len(kept.encode()) <= LONGEST_NAME and kept:
         return kept
     digest = hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest()[:_HASHED]
     return f"{short or 'unnamed'}-{digest}"
@@ -108,15 +112,15 @@ def check_regular(path: Path, max_bytes: int | None = None) -> None:
 
 
 @contextlib.contextmanager
-def open_regular(path: Path, max_bytes: int | None = None) -> Iterator[BufferedReader]:
+def open_regular(path: Path, max_bytes: int | None = None, access: int = os.O_RDONLY) -> Iterator[BufferedReader]:
     """A regular file of at most that size, opened for reading.
 
     Raises `OSError`, whose `strerror` gives the reason, for unreadable and larger files, and at once for folders,
     pipes, devices and sockets. A sparse file has the size that reading it would give.
     """
     check_regular(path, max_bytes)
-    # The file may have been replaced since; and without O_NONBLOCK, opening a pipe waits for a writer.
-    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+    # The file may have been replaced since; and without `NO_WAIT`, opening a pipe waits for a writer.
+    descriptor = os.open(path, access | OURS | NO_WAIT)
     with open(descriptor, "rb") as file:  # noqa: PTH123 - of a descriptor
         _check(os.fstat(descriptor), path, max_bytes)
         yield file
@@ -160,7 +164,7 @@ def _too_large(size: int, path: Path, max_bytes: int) -> OSError:
 def replace_file(path: Path, content: bytes) -> None:
     """Write a file whole or not at all, as `replacing` does. Raises `OSError`."""
     with replacing(path) as temporary:
-        descriptor = os.open(temporary, os.O_WRONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+        descriptor = os.open(temporary, os.O_WRONLY | NO_LINK | OURS)
         with open(descriptor, "wb") as file:  # noqa: PTH123 - of a descriptor
             file.write(content)
 
@@ -175,13 +179,19 @@ def replacing(path: Path) -> Iterator[Path]:
     """
     _refuse_special(path)
     temporary = _neighbour(path, _TEMPORARY)
+    opened = ExitStack()
     descriptor = os.open(temporary, _NEW, 0o666)
+    opened.callback(os.close, descriptor)
     try:
-        with contextlib.suppress(OSError):  # of a file system without locks
-            take_lock(descriptor)  # until it is closed, `remove_left_over` leaves it alone
+        if system.MOVES_OPEN_FILES:
+            with contextlib.suppress(OSError):  # of a file system without locks
+                take_lock(descriptor)  # until it is closed, `remove_left_over` leaves it alone
+        else:
+            opened.close()
         yield temporary
         _check(temporary.lstat(), temporary, None)
-        with open_regular(temporary) as file:  # which is not ours where a library has put its own there
+        # It is not ours where a library has put its own there.
+        with open_regular(temporary, access=system.TO_SYNC) as file:
             os.fsync(file.fileno())
         temporary.replace(path)
     except BaseException:
@@ -189,7 +199,7 @@ def replacing(path: Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
         raise
     finally:
-        os.close(descriptor)
+        opened.close()
 
 
 @contextlib.contextmanager
@@ -203,7 +213,7 @@ def replacing_folder(path: Path) -> Iterator[Path]:
     temporary.mkdir()
     try:
         yield temporary
-        temporary.replace(path)
+        system.move_folder(temporary, path)
     except BaseException:
         shutil.rmtree(temporary, ignore_errors=True)
         raise
@@ -225,7 +235,9 @@ def append(path: Path) -> BinaryIO:
     Raises `OSError` if it is a link, no regular file, or has another name elsewhere (a hard link), where it would
     change as well.
     """
-    flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | NO_LINK | NO_WAIT | OURS
+    if not NO_LINK and path.is_symlink():
+        raise _through_a_link(path)
     file = open(os.open(path, flags, 0o666), "a+b")  # noqa: PTH123, SIM115 - of a descriptor
     try:
         facts = os.fstat(file.fileno())
@@ -247,6 +259,9 @@ def remove(root: Path, name: str | PurePath = "") -> None:
     """
     whole = root / name
     parts = PurePath(name).parts or (root.name,)
+    if not system.OPENS_FOLDERS:
+        _remove_by_name(root, whole)
+        return
     with ExitStack() as opened:
         try:
             folder = _open_folder(root if name else root.parent, opened)
@@ -261,6 +276,17 @@ def remove(root: Path, name: str | PurePath = "") -> None:
             shutil.rmtree(parts[-1], dir_fd=folder)
         else:
             os.unlink(parts[-1], dir_fd=folder)
+
+
+def _remove_by_name(root: Path, whole: Path) -> None:
+    """`remove`, where no folder can be held open: what becomes a link in between is not noticed."""
+    on_the_way = [whole, *whole.parents][: len(whole.parts) - len(root.parts) + 1]
+    if any(path.is_symlink() for path in (on_the_way[:-1] or [whole])):
+        raise _through_a_link(whole)
+    if whole.is_dir():
+        shutil.rmtree(whole)
+    else:
+        whole.unlink(missing_ok=True)
 
 
 def remove_left_over(root: Path, name: str = "") -> None:
@@ -288,7 +314,7 @@ def check_no_link(root: Path, name: str) -> None:
 
 
 _TEMPORARY, _UNFINISHED = ".tmp", ".partial"
-_NEW = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+_NEW = os.O_RDWR | os.O_CREAT | os.O_EXCL | NO_LINK | OURS
 
 
 def _neighbour(path: Path, suffix: str) -> Path:
@@ -296,7 +322,7 @@ def _neighbour(path: Path, suffix: str) -> Path:
 
 
 def _open_folder(name: Path | str, opened: ExitStack, within: int | None = None, whole: Path | None = None) -> int:
-    flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC | (0 if within is None else os.O_NOFOLLOW)
+    flags = os.O_RDONLY | FOLDER | OURS | (0 if within is None else NO_LINK)
     try:
         descriptor = os.open(name, flags, dir_fd=within)
     except OSError as error:
@@ -314,7 +340,7 @@ def _through_a_link(path: Path) -> OSError:
 
 def _is_being_written(path: Path) -> bool:
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+        descriptor = os.open(path, os.O_RDONLY | NO_LINK | NO_WAIT | OURS)
     except OSError:
         return True  # gone, or none of ours
     try:
@@ -331,11 +357,7 @@ def take_lock(descriptor: int) -> bool:
     The operating system frees it when the last copy of the descriptor is closed, however its process ends. Raises
     `OSError` if the file system has no locks.
     """
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
+    return system.lock(descriptor)
 
 
 @contextlib.contextmanager

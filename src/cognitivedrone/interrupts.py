@@ -21,9 +21,8 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, Final, NoReturn
 
-ENDED: Final[dict[int, str]] = {
-    signal.SIGINT: "ctrl-C", signal.SIGTERM: "asked to terminate", signal.SIGHUP: "the terminal has gone"
-}  # fmt: skip
+from cognitivedrone.system import ENDED, HANG_UP, after_fork, c_library, is_spared
+
 STOPPED: Final = 130
 """Exit code of a command that one of them ended."""
 GRACE_S: Final = 5.0
@@ -92,7 +91,7 @@ def handling(handler: Handler, numbers: Iterable[int] = tuple(ENDED), *, kernel:
     def handle(number: int, frame: FrameType | None) -> None:
         global _count, _pressed
         _count, _pressed = _count + 1, True
-        if number == signal.SIGHUP:
+        if number == HANG_UP:
             _leave_terminal()
         handler(number, frame)
 
@@ -224,7 +223,7 @@ def _let_the_kernel_end() -> None:
         return
     import ctypes
 
-    library = ctypes.CDLL(None)
+    library = c_library()
     if not hasattr(library, "sysv_signal"):
         return
     library.signal.restype = library.sysv_signal.restype = ctypes.c_void_p
@@ -240,10 +239,10 @@ def _in_a_forked_child() -> None:
             signal.set_wakeup_fd(-1)
             signal.signal(signal.SIGINT, signal.default_int_handler)
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
-            signal.signal(signal.SIGHUP, signal.SIG_DFL)
+            signal.signal(HANG_UP, signal.SIG_DFL)
 
 
-os.register_at_fork(after_in_child=_in_a_forked_child)
+after_fork(_in_a_forked_child)
 
 
 @contextmanager
@@ -280,7 +279,7 @@ def is_ctrl_c(error: BaseException) -> bool:
     """Whether an exception that came out of a user's code is a real Ctrl-C, which must end the program."""
     if not isinstance(error, KeyboardInterrupt) or threading.current_thread() is not threading.main_thread():
         return False
-    if signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, []):
+    if is_spared():
         return False  # as in worker processes
     return _pressed if _watching else True
 

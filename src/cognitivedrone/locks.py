@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from cognitivedrone import files
+from cognitivedrone import files, system
 from cognitivedrone.errors import CognitiveDroneError, UsageError
 
 LOCK_FILE = ".lock"
-"""Inside a folder whose file system locks files that are open for writing alone, as NFS does."""
+"""Inside a folder whose file system locks files that are open for writing alone, as NFS does. On Windows, which opens
+no folders, it is beside the folder, behind its name, so that the folder can be renamed."""
 
 
 def take_lock(descriptor: int, place: Path, error: type[CognitiveDroneError]) -> bool:
@@ -51,17 +51,18 @@ def sole_writer(folder: Path, error: type[CognitiveDroneError], writing: str) ->
     created = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+        descriptor = os.open(folder, os.O_RDONLY | system.OURS) if system.OPENS_FOLDERS else None
     except OSError as refused:
         raise error(
             f"{folder}: cannot be written ({refused.strerror or refused}); make room there or give another place"
         ) from None
     try:
         with contextlib.ExitStack() as stack:
-            stack.callback(os.close, descriptor)
+            if descriptor is not None:
+                stack.callback(os.close, descriptor)
             held = _held(descriptor, folder, error, writing, stack)
             # A forked process may have a copy of the descriptor, and must not keep the lock.
-            stack.callback(fcntl.flock, held, fcntl.LOCK_UN)
+            stack.callback(system.unlock, held)
             yield held
     except BaseException:
         if created:
@@ -71,21 +72,30 @@ def sole_writer(folder: Path, error: type[CognitiveDroneError], writing: str) ->
 
 
 def _held(
-    descriptor: int, folder: Path, error: type[CognitiveDroneError], writing: str, stack: contextlib.ExitStack
+    descriptor: int | None, folder: Path, error: type[CognitiveDroneError], writing: str, stack: contextlib.ExitStack
 ) -> int:
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise error(_busy(folder, writing)) from None
+        if descriptor is not None:
+            if not system.lock(descriptor):
+                raise error(_busy(folder, writing))
+            return descriptor
     except OSError as refused:
         if refused.errno != errno.EBADF:  # of NFS, which locks only what is open for writing
             raise error(_no_locks(folder, refused)) from None
-        flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
-        descriptor = os.open(folder / LOCK_FILE, flags, 0o666)
-        stack.callback(os.close, descriptor)
-        if not take_lock(descriptor, folder, error):
-            raise error(_busy(folder, writing)) from None
+    flags, file = os.O_RDWR | os.O_CREAT | system.NO_LINK | system.OURS, folder / LOCK_FILE
+    if not system.OPENS_FOLDERS:
+        file = folder.resolve().with_name(f".{folder.resolve().name}{LOCK_FILE}")
+        stack.callback(_remove_unless_held, file)
+    descriptor = os.open(file, flags, 0o666)
+    stack.callback(os.close, descriptor)
+    if not take_lock(descriptor, folder, error):
+        raise error(_busy(folder, writing))
     return descriptor
+
+
+def _remove_unless_held(file: Path) -> None:
+    with contextlib.suppress(OSError):
+        file.unlink()
 
 
 def _busy(folder: Path, writing: str) -> str:

@@ -22,6 +22,7 @@ from cognitivedrone.choices import AppearanceName as AppearanceName
 from cognitivedrone.errors import AppearanceError, LinkError, UnknownOption, did_you_mean
 from cognitivedrone.printable import shown_address
 from cognitivedrone.ranges import WIND, Range, Seed, check_arguments
+from cognitivedrone.system import refusal
 
 Rule = Literal["through", "within_1m"]
 """`through`: the drone's centre crosses the right gate's plane inside its opening. `within_1m`: the published rule, the
@@ -227,6 +228,8 @@ class VehicleSpec(Options):
             )
         if self.kind != "mavlink" and self.link != self.kind:
             raise LinkError(f"--link {self.kind} takes no address, {self.link!r} was given")
+        if self.kind != "sim" and (refused := refusal(f"--link {self.kind}")):
+            raise LinkError(refused)
 
     @property
     def kind(self) -> str:
@@ -250,8 +253,8 @@ class SafetySpec(Options):
     """How a MAVLink vehicle is flown, and its safety limits."""
 
     camera: str = _option("")
-    """With mavlink: /dev/videoN, an rtsp:// or http:// URL, a video file, a folder of images, or gazebo:TOPIC of a
-    running Gazebo, such as gazebo:/cognitivedrone/camera."""
+    """With mavlink: /dev/videoN (on a Mac avfoundation:N), an rtsp:// or http:// URL, a video file, a folder of images,
+    or gazebo:TOPIC of a running Gazebo, such as gazebo:/cognitivedrone/camera."""
     takeoff_height: float = _option(1.0)
     """Take-off height, m above the ground."""
     fence_radius: Annotated[float, Range(0.1, unit="m")] = _option(30.0)

@@ -7,23 +7,20 @@ libraries start. They end with us, however we end: `end_with_parent` is called b
 
 from __future__ import annotations
 
-import ctypes
 import multiprocessing
 import os
-import signal
-import sys
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from multiprocessing import resource_tracker
 from multiprocessing.process import BaseProcess
 from typing import Final
+
+from cognitivedrone import system
 
 SAFE_PATH: Final = "PYTHONSAFEPATH"
 """Python's variable that keeps the current folder out of the path of `python -c` and `python -m`."""
 STARTER: Final = "COGNITIVEDRONE_STARTER"
 """The variable with the id of the process whose main thread started this one."""
-_PR_SET_PDEATHSIG: Final = 1
 _one_at_a_time = threading.RLock()
 
 
@@ -62,20 +59,13 @@ def _variables(values: Mapping[str, str]) -> Iterator[None]:
 def starting() -> Iterator[None]:
     """Start processes here, and create the queues and locks that they share.
 
-    Ctrl-C reaches the whole process group, and only this process handles it: those started here inherit a mask.
+    Ctrl-C reaches the whole process group, and only this process handles it (`system.sparing_children`).
     """
     # The kernel goes by the thread that starts a process; only the main thread is sure to last.
     lasting = starter() if threading.current_thread() is threading.main_thread() else {STARTER: ""}
-    with (
-        isolated(),
-        _variables(lasting),
-    ):  # multiprocessing passes on this interpreter's flags, and takes no environment
-        resource_tracker.ensure_running()  # a Python process too; starting it later would lift the mask
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
-        try:
-            yield
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+    # multiprocessing passes on this interpreter's flags, and takes no environment
+    with isolated(), _variables(lasting), system.sparing_children():
+        yield
 
 
 def end_with_parent() -> None:
@@ -85,7 +75,7 @@ def end_with_parent() -> None:
         return
     threading.Thread(target=_end_after, args=(parent,), name="parent", daemon=True).start()
     if os.environ.get(STARTER) == str(parent.pid):
-        _let_the_kernel_end()  # also where foreign code keeps that thread from running
+        system.end_with_starter()  # also where foreign code keeps that thread from running
 
 
 def end_with_starter() -> None:
@@ -93,16 +83,11 @@ def end_with_starter() -> None:
 
     Where that one gave it `starter`, and has ended already, this process ends now.
     """
-    _let_the_kernel_end()
+    system.end_with_starter()
     if os.environ.get(STARTER, str(os.getppid())) != str(os.getppid()):
-        os.kill(os.getpid(), signal.SIGKILL)
+        system.end_here()
 
 
 def _end_after(parent: BaseProcess) -> None:
     parent.join()
     os._exit(1)
-
-
-def _let_the_kernel_end() -> None:
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import re
-import resource
-from typing import Final
+from typing import Final, Literal
+
+from cognitivedrone.system import limit
 
 _FEW_FILES: Final = 64
 _MEMORY: Final = r"memoryerror|cannot allocate memory|failed to map segment|bad_alloc|out of memory|\[errno 12\]"
 _PROCESSES: Final = r"can't start new thread|resource temporarily unavailable|blockingioerror|\[errno 11\]"
-_SHORT: Final[tuple[tuple[str, str, str, int, int], ...]] = (
-    (r"too many open files|\[errno 2[34]\]", "open files", "-n", resource.RLIMIT_NOFILE, 1),
-    (_MEMORY, "KB of memory", "-v", resource.RLIMIT_AS, 1024),
-    (_PROCESSES, "processes and threads", "-u", resource.RLIMIT_NPROC, 1),
+_SHORT: Final[tuple[tuple[str, str, str, Literal["NOFILE", "AS", "NPROC"], int], ...]] = (
+    (r"too many open files|\[errno 2[34]\]", "open files", "-n", "NOFILE", 1),
+    (_MEMORY, "KB of memory", "-v", "AS", 1024),
+    (_PROCESSES, "processes and threads", "-u", "NPROC", 1),
 )
 """How errors of many kinds say it, what it is, the shell's option, the limit and its unit."""
 
@@ -22,10 +23,10 @@ def way_out_of(error: object) -> str:
     text = f"{type(error).__name__}: {error}"
     for says, what, option, number, unit in _SHORT:
         if re.search(says, text, re.IGNORECASE):
-            limit, _ = resource.getrlimit(number)
-            if limit == resource.RLIM_INFINITY:
+            allowed = limit(number)
+            if allowed is None:
                 return "end other programs: this machine has no more"
-            return f"raise the limit of this shell, which is {limit // unit:,} {what} (ulimit {option})"
+            return f"raise the limit of this shell, which is {allowed // unit:,} {what} (ulimit {option})"
     return ""
 
 
@@ -35,7 +36,9 @@ def tight_limit() -> str:
     Few programs do with so few open files, and none of ours with little address space.
     """
     for _, what, option, number, unit in _SHORT[:2]:
-        limit, _ = resource.getrlimit(number)
-        if limit != resource.RLIM_INFINITY and (number != resource.RLIMIT_NOFILE or limit < _FEW_FILES):
-            return f"this shell's limit of {limit // unit:,} {what} (ulimit {option}) may be the cause: raise it first"
+        allowed = limit(number)
+        if allowed is not None and (number != "NOFILE" or allowed < _FEW_FILES):
+            return (
+                f"this shell's limit of {allowed // unit:,} {what} (ulimit {option}) may be the cause: raise it first"
+            )
     return ""

@@ -11,6 +11,7 @@ import weakref
 from pathlib import Path
 from typing import Final
 
+from cognitivedrone import system
 from cognitivedrone.files import take_lock
 
 PREFIX: Final = "cognitivedrone-"
@@ -38,8 +39,10 @@ class TemporaryFolder:
 
 def _claim(folder: Path) -> int:
     """Lock the folder; it appears as one of these only with the lock taken. Returns the descriptor that holds it."""
-    beginning = folder / f"{_OWNER}.new"
-    descriptor = os.open(beginning, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
+    beginning = folder / (f"{_OWNER}.new" if system.MOVES_OPEN_FILES else _OWNER)
+    descriptor = os.open(beginning, os.O_RDWR | os.O_CREAT | os.O_EXCL | system.OURS, 0o600)
+    if not system.MOVES_OPEN_FILES:
+        return descriptor  # nobody can remove it while it is open
     try:
         if take_lock(descriptor):
             beginning.rename(folder / _OWNER)
@@ -53,6 +56,8 @@ def _remove(folder: Path, descriptor: int, process: int) -> None:
         return  # a forked child: the folder is its parent's
     shutil.rmtree(folder, ignore_errors=True)
     os.close(descriptor)
+    if not system.MOVES_OPEN_FILES:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 @functools.cache
@@ -61,9 +66,13 @@ def _sweep(parent: str) -> None:
     for folder in Path(parent).glob(f"{PREFIX}*"):
         try:
             facts = folder.lstat()
-            if not stat.S_ISDIR(facts.st_mode) or facts.st_uid != os.geteuid():
+            if not stat.S_ISDIR(facts.st_mode) or not system.is_mine(facts):
                 continue
-            descriptor = os.open(folder / _OWNER, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK)
+            if not system.MOVES_OPEN_FILES:
+                (folder / _OWNER).unlink()
+                shutil.rmtree(folder, ignore_errors=True)
+                continue
+            descriptor = os.open(folder / _OWNER, os.O_RDWR | system.OURS | system.NO_LINK | system.NO_WAIT)
         except OSError:
             continue  # somebody else's folder of such a name, or removed meanwhile
         try:

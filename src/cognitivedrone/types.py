@@ -364,6 +364,8 @@ class ReasonerReport:
     shape: bool | None
     gate: bool
     """Whether the last directive fits the right gate and no other; if none is right, whether it declines."""
+    late: int = field(default=0, metadata={"json": "where set"})
+    """Number of answers and faults that came after the next question was due."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -77,6 +77,17 @@ def test_the_view_shows_everything():
         assert message in text, message
 
 
+def test_the_view_says_that_the_reasoner_is_too_late_until_it_is_not():
+    view, says = Instruments("R1 on sim"), "the last 40 answers of the reasoner were late: the policy flies without it"
+    view.step(step(30.0))
+    view.event(Event(29.0, "unaided", says, 0.9))
+    for number in range(10):
+        view.event(Event(29.5 + number, "adopted", "Fly through the red gate", 0.9))
+    assert says in drawn(view)
+    view.event(Event(45.0, "agreed", "Fly through the red gate", 0.4))
+    assert says not in drawn(view)
+
+
 def test_the_view_says_what_is_not_known_and_forgets_old_events():
     view = Instruments("x")
     view.step(step(0.0, position=None, yaw=float("nan"), battery=None))

@@ -92,7 +92,19 @@ def test_runs_over_different_numbers_of_tasks_are_not_paired(two):
 def test_other_differences_are_reported(two):
     results = read_results(two[3])
     write_results(two[3] / "results.json", replace(results, renderer="another"))
-    assert compare(two[2], two[3]).other_differences == ("renderer: imagination and another",)
+    comparison = compare(two[2], two[3])
+    assert comparison.other_differences == ("renderer: imagination and another",)
+    assert "frames of other renderers and processors differ" in " ".join(text_of(comparison_table(comparison)).split())
+
+
+def test_another_architecture_is_said(two):
+    results = read_results(two[3])
+    assert "frames" not in text_of(comparison_table(compare(two[2], two[3])))
+    write_results(two[3] / "results.json", replace(results, platform=dict(results.platform) | {"machine": "aarch64"}))
+    comparison = compare(two[2], two[3])
+    here = results.platform.get("machine", "unknown")
+    assert comparison.other_differences == (f"architecture: {here} and aarch64",)
+    assert comparison.frames_differ
 
 
 def test_tables_fit_a_terminal_and_say_the_scores(two):

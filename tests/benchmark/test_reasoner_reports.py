@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 
 from cognitivedrone.benchmark import Plan, run
+from cognitivedrone.benchmark.reports.tables import _reasoning
 from cognitivedrone.benchmark.runs.sweep import PLOT_FILE, SweepPlan, sweep
 from cognitivedrone.benchmark.scores.results import read_results
-from cognitivedrone.benchmark.scores.scoring import score
+from cognitivedrone.benchmark.scores.scoring import score, summarize
 from cognitivedrone.errors import RunError, SimulationError
 from cognitivedrone.tasks import load_suite
-from cognitivedrone.types import ReasonerReport, StageResult
+from cognitivedrone.types import EpisodeResult, ReasonerReport, StageResult
 
 EPISODES = 4
 
@@ -106,6 +108,26 @@ def test_stages_without_a_reasoner_have_no_such_score():
     report = ReasonerReport(3, {}, 0, 0.2, 2.0, True, None, False, False)
     mixed = score([stage, StageResult(*[getattr(stage, name) for name in stage.__slots__][:11], "Go", report)])  # type: ignore[call-arg]
     assert (mixed.n, mixed.reasoner.n, mixed.reasoner.size, mixed.reasoner.color) == (2, 1, 1.0, None)
+
+
+def late_stage(answers, late, faults=0):
+    report = ReasonerReport(answers, {"refusal": faults} if faults else {}, 0, 0.9, 1.4, True, None, False, False, late)
+    passed = StageResult("t", "reasoning", "math", 0, "passed", 0, 5.0, 6.0, 1.0, 0.3, 0.1)
+    return replace(passed, reasoner=report)
+
+
+def test_late_answers_in_a_row_are_counted_over_stages_without_one_in_time():
+    stages = [late_stage(8, 8), late_stage(30, 5), late_stage(20, 20), late_stage(10, 22, faults=12), late_stage(9, 0)]
+    found = score(stages).reasoner
+    assert (found.late, found.late_in_a_row) == (55, 42)
+
+
+@pytest.mark.parametrize(("late", "says"), [(39, False), (40, True)])
+def test_a_run_whose_reasoner_was_always_late_says_that_it_flew_without_it(late, says):
+    summary = summarize([EpisodeResult(0, 0, (late_stage(late, late),), 300)])
+    text = " ".join(str(part) for part in _reasoning(summary, {}))
+    assert f"late: {late}" in text
+    assert (f"the policy flew without its reasoner: {late} answers in a row were late" in text) is says
 
 
 def test_latency_that_cannot_be_read_stops_before_take_off(tmp_path):

@@ -469,6 +469,18 @@ def test_a_run_has_its_scores_by_family_and_the_commit_that_flew_it(folder: Path
     assert made.summary.overall.pass_given_choice == flown.overall.pass_given_choice
     assert made.summary.choices == flown.choices
     assert (made.commit or "none") == results.platform["commit"]
+    assert made.renderer == results.renderer
+
+
+def test_verify_says_where_something_else_draws(folder: Path, tmp_path: Path) -> None:
+    write_submission(file := tmp_path / "mine.json", submission_of([folder], "Mine", "Us"))
+    content = json.loads(file.read_text())
+    here = content["runs"][0]["renderer"]
+    for there, differences in ((here, ()), ("NVIDIA H100/PCIe/SSE2", (f"renderer {here} instead of NVIDIA H100",))):
+        content["runs"][0]["renderer"] = there
+        file.write_text(json.dumps(content))
+        (checked,) = verify(read_submission(file), 1, seed=1, progress=False)
+        assert tuple(text.partition("/")[0] for text in checked.differences) == differences
 
 
 def test_the_command(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -43,11 +43,17 @@ def test_every_path_runs_and_leaves_a_table(tmp_path, monkeypatch, capsys):
         "none, ar, without its graph",
         "none, ar",
         "none, parallel",
+        "none, ar, compiled",
+        "none, parallel, compiled",
         "none policy, alone",
         "none policy, reasoner by generate()",
         "none reasoner by generate()",
         "none policy, reasoner by recorded",
         "none reasoner by recorded",
+        "none policy, reasoner by recorded, compiled",
+        "none reasoner by recorded, compiled",
+        "none policy, reasoner by recorded, compiled, forced words",
+        "none reasoner by recorded, compiled, forced words",
         *(
             f"batch {size}, {way}"
             for way in ("published loop", "ours", "ours, recomputing layers")
@@ -74,13 +80,27 @@ def test_a_row_that_fails_is_told_of_and_the_rest_goes_on(tmp_path):
     ]
 
 
+def test_rows_of_an_earlier_run_stay_where_they_are_asked_for(tmp_path):
+    out = tmp_path / "some.json"
+    for add, name, number in ((False, "first", "1"), (True, "second", "2"), (True, "first", "3")):
+        report = Report(HOST, out, add=add)
+        report.begin("python benchmarks/openvla_gpu.py")
+        report.table("Some", "number")
+        report.row(name, number)
+    assert [(row["row"], row["number"]) for row in read_measurement(out).rows] == [("second", "2"), ("first", "3")]
+    report = Report(HOST, out)
+    report.table("Some", "number")
+    report.row("third", "4")
+    assert len(read_measurement(out).rows) == 1
+
+
 @pytest.fixture(scope="module")
 def reasoner():
     return beside.random_reasoner(HOST, "none")
 
 
 def test_a_recorded_reasoner_answers_as_transformers_own_loop(reasoner):
-    generated, recorded = beside.Generated(reasoner), beside.Recorded(reasoner, compiled=False)
+    generated, recorded = beside.Generated(reasoner), beside.Recorded(reasoner)
     inputs = [beside.some_inputs(reasoner, seed) for seed in range(2)]
     answers = [generated(each) for each in inputs]
     assert [len(answer) for answer in answers] == [beside.ANSWER] * 2
@@ -89,12 +109,10 @@ def test_a_recorded_reasoner_answers_as_transformers_own_loop(reasoner):
     assert [recorded(each) for each in (*inputs, inputs[0])] == [*answers, answers[0]]
 
 
-def test_a_word_of_the_reasoner_is_one_function_of_tensors(reasoner):
-    # What a GPU records as one graph must trace without a break; the eager backend runs what was traced.
-    traced, inputs = beside.Recorded(reasoner, compiled=False), beside.some_inputs(reasoner)
-    wanted = traced(inputs)
-    traced._step = torch.compile(traced._next, backend="eager", dynamic=False, fullgraph=True)
-    assert traced(inputs) == wanted
+def test_forced_words_take_three_passes(reasoner):
+    forced, inputs = beside.Recorded(reasoner, forced=True), beside.some_inputs(reasoner)
+    assert forced(inputs) in beside.some_answers()
+    assert forced.decode.passes == 3
 
 
 def test_the_large_reasoner_has_the_published_size():

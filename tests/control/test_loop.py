@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cognitivedrone.adapters import as_policy
-from cognitivedrone.control.async_reasoner import SimulatedReasoner
+from cognitivedrone.control.async_reasoner import LateAnswers, SimulatedReasoner
 from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.errors import NonFiniteAction, PolicyError, ReasonerError
@@ -190,6 +190,21 @@ def test_a_missed_deadline_is_noted():
     fly(ground, Counting(), ground, for_steps(ground, 4), recorder=notes)
     assert notes.of("late") == [(0.23, "late", "")]
     assert [round(time, 3) for time, _ in ground.sent] == [0.0, 0.1, 0.23, 0.3]
+
+
+@pytest.mark.parametrize(("latency_s", "noted"), [(0.45, 0), (0.5, 0), (0.61, 1)])
+def test_forty_late_answers_in_a_row_are_noted_once(latency_s, noted):
+    ground, notes = Ground(), Notes()
+    reasoner = SimulatedReasoner(Saying(RED), lambda _: latency_s)
+    fly(ground, Counting(), ground, for_steps(ground, 600), reasoner=reasoner, recorder=notes)
+    assert len(notes.of("unaided")) == noted
+    assert all("the last 40 answers of the reasoner were late" in text for _, _, text in notes.of("unaided"))
+
+
+def test_an_answer_in_time_begins_the_row_anew():
+    late = LateAnswers()
+    ages = [*[0.7] * 39, 0.4, *[0.7] * 41]
+    assert [index for index, age in enumerate(ages) if late.count(age)] == [79]
 
 
 def test_a_clock_that_goes_in_steps_is_not_late_by_one_of_them():

@@ -25,11 +25,13 @@ from PIL import Image as PillowImage
 from typechecked import unchecked
 
 from cognitivedrone.data.episode import Encoding, Episode, decode_image, encode_image
+from cognitivedrone.data.layout import MANIFEST
 from cognitivedrone.data.shards import FOOTER_KEY, SCHEMA, ShardFile
 from cognitivedrone.data.store import Store
 from cognitivedrone.data.store_writer import StoreWriter
 from cognitivedrone.data.verify import verify
 from cognitivedrone.errors import DataError
+from cognitivedrone.locks import LOCK_FILE
 from cognitivedrone.tasks.format import read_tasks
 
 
@@ -209,6 +211,14 @@ def test_another_making_is_refused(sound_store: Path, change: dict[str, object],
     with pytest.raises(DataError, match=message):
         StoreWriter(sound_store, resume=True, **making)
     assert files_of(sound_store) == before
+
+
+def test_the_lock_of_a_folder_on_a_network_is_none_of_its_content(tmp_path: Path, flights: list[Episode]) -> None:
+    (tmp_path / LOCK_FILE).touch()
+    write_store(tmp_path, flights[:1])
+    (tmp_path / MANIFEST).unlink()
+    writer_at(tmp_path, resume=True).finish()
+    assert (tmp_path / MANIFEST).exists()
 
 
 def test_a_folder_in_use_is_refused(tmp_path: Path, sound_store: Path) -> None:

@@ -3,14 +3,16 @@
 import importlib
 import json
 import shutil
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from cognitivedrone.errors import MissingExtra, NonFiniteAction, PolicyError
 from cognitivedrone.models.openvla import checkpoint as checkpoints
-from cognitivedrone.policies import make_policy
+from cognitivedrone.policies import make_policy, openvla
 from cognitivedrone.policies.openvla import OpenVla
 from cognitivedrone.registry import make
 from cognitivedrone.types import EpisodeContext, Observation
@@ -55,6 +57,29 @@ def test_the_observations_own_instruction_counts(folder):
     assert not np.array_equal(one, other)
     assert np.array_equal(policy.act(seen()), one)
     assert not np.array_equal(policy.act(seen(1)), one)
+
+
+def test_compiled_blocks_fly_the_same_and_are_run_before_take_off(folder, monkeypatch):
+    plain = make_policy(f"openvla:{folder},device=cpu")
+    torch.compiler.reset()
+    monkeypatch.setattr(openvla, "warmed_up", partial(openvla.warmed_up, backend="eager"))
+    monkeypatch.setattr(openvla, "_USUAL_LENGTHS", (32,))
+    compiled = make_policy(f"openvla:{folder},device=cpu,compiled=yes")
+    for seed in range(2):
+        assert np.array_equal(compiled.act(seen(seed)), plain.act(seen(seed)))
+
+
+def test_where_compiling_fails_it_is_said_and_the_network_flies_as_it_is(folder, monkeypatch):
+    def fails(graph, inputs):
+        raise OSError("no C compiler")
+
+    failing: Any = fails
+    plain = make_policy(f"openvla:{folder},device=cpu")
+    torch.compiler.reset()
+    monkeypatch.setattr(openvla, "warmed_up", partial(openvla.warmed_up, backend=failing))
+    with pytest.warns(RuntimeWarning, match="flies without being compiled, which is slower: .*no C compiler"):
+        policy = make_policy(f"openvla:{folder},device=cpu,compiled=yes")
+    assert np.array_equal(policy.act(seen()), plain.act(seen()))
 
 
 def test_capitals_are_not_seen(folder):

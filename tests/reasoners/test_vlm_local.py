@@ -1,6 +1,7 @@
 """The local VLM reasoner on tiny models of the real architectures, with random weights."""
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import cast
 
@@ -9,12 +10,15 @@ import pytest
 
 from cognitivedrone.errors import MissingExtra, PolicyError, ReasonerError
 from cognitivedrone.reasoners import make_reasoner
+from cognitivedrone.reasoners.prompt import answers
 from cognitivedrone.reasoners.vlm_local import IMAGE_TOKEN, LocalVlm
 from cognitivedrone.types import Guidance
 
 torch = pytest.importorskip("torch")
 transformers = pytest.importorskip("transformers")
 tokenizers = pytest.importorskip("tokenizers")
+
+from cognitivedrone.models.qwen_decoder import QwenDecoder  # noqa: E402
 
 SPECIAL = [
     "<|endoftext|>",
@@ -199,3 +203,47 @@ def test_pickled_weights_are_not_read(folder, tmp_path):
     (tmp_path / "pytorch_model.bin").write_bytes(b"\x80\x04.")
     with pytest.raises(PolicyError, match="safetensors"):
         make_reasoner(f"vlm-local:{tmp_path},device=cpu")
+
+
+def test_answers_of_the_schema_are_those_of_generate_whatever_decodes(folder):
+    """The tokenizer is of bytes, so that answers are longer than usual: more tokens, and the schema asked for."""
+    reasoner = make_reasoner(f"vlm-local:{folder},device=cpu,tokens=80,schema=yes")
+    for seed in range(3):
+        instruction = f"Fly through gate {seed}"
+        text = reasoner.answer(frame(seed), instruction)
+        assert text in answers()
+        inputs = reasoner.inputs(frame(seed), instruction)
+        assert reasoner._tokenizer.decode(reasoner._generate(inputs), skip_special_tokens=True) == text
+
+
+def test_free_answers_are_those_of_generate_whatever_decodes(reasoner):
+    for seed in range(3):
+        inputs = reasoner.inputs(frame(seed), "Fly to 7")
+        assert reasoner._decode(inputs) == reasoner._generate(inputs)
+
+
+def test_what_is_the_same_for_every_question_comes_before_the_image(reasoner):
+    text = reasoner._tokenizer.decode(reasoner.inputs(frame(0), "Fly to 7")["input_ids"][0])
+    before, after = text.split("<|vision_start|>")
+    assert before.endswith("hangs in the scene as well.\n\n")
+    assert after.split("<|vision_end|>")[1].startswith("The drone was told: Fly to 7\n\nWhich gate")
+
+
+def test_compiling_before_take_off_and_where_it_fails(folder):
+    reasoner = make_reasoner(f"vlm-local:{folder},device=cpu")
+    assert isinstance(reasoner._decode, QwenDecoder) is (folder.name.startswith("qwen2_5"))
+    if not isinstance(reasoner._decode, QwenDecoder):
+        return  # Transformers' own loop is not ours to compile
+    wanted = reasoner.answer(frame(0), "Fly to 7")
+
+    def failing(graph, inputs):
+        raise OSError("no C compiler")
+
+    make = partial(QwenDecoder, reasoner._model, end=reasoner._decoding.eos_token_id, most=40)
+    torch.compiler.reset()
+    reasoner._warm_up(make, "eager")
+    assert reasoner.answer(frame(0), "Fly to 7") == wanted
+    torch.compiler.reset()
+    with pytest.warns(RuntimeWarning, match="vlm-local is not compiled, which is slower: .*no C compiler"):
+        reasoner._warm_up(make, failing)
+    assert reasoner.answer(frame(0), "Fly to 7") == wanted

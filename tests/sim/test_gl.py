@@ -1,12 +1,14 @@
+import ctypes
 import os
 import subprocess
 import sys
 import threading
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
 from cognitivedrone.errors import RenderError
-from cognitivedrone.sim import gl
+from cognitivedrone.sim import contexts, gl
 
 
 @pytest.fixture
@@ -15,6 +17,7 @@ def fresh(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     monkeypatch.setattr(gl, "_chosen", None)
     for name in (gl._REMEMBERED, "MUJOCO_GL"):
         monkeypatch.setenv(name, "")
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
     return monkeypatch
 
 
@@ -172,10 +175,10 @@ def test_a_broken_choice_of_the_users_breaks_nothing_until_something_is_drawn(na
         "import sys\n"
         "sys.modules['OpenGL.osmesa'] = None  # also where it is installed\n"
         "from cognitivedrone.cli import main\n"
-        "main(['list'])\n"
         "from cognitivedrone.sim import gl\n"
         "def absent(name, without=()): raise gl.RenderError(name + ' is not there')\n"
         "gl._probe = absent\n"
+        "main(['list'])\n"
         "main(['view'])\n"
     )
     environment = {**os.environ, "MUJOCO_GL": name, gl._REMEMBERED: ""}
@@ -213,3 +216,64 @@ def test_a_limit_of_memory_is_named_where_the_driver_says_nothing_of_it(fresh: p
     fresh.setenv("LIBGL_DRIVERS_PATH", "/nowhere")
     with pytest.raises(RenderError, match=r"OpenGL does not start \(nonsense: .*\); raise it first$"):
         gl.create_context("nonsense", 16, 16)
+
+
+class FakeCgl:
+    """Of MuJoCo's bindings of macOS, what a context calls, and the calls."""
+
+    class CGLPixelFormatAttribute:
+        CGLPFAOpenGLProfile, CGLPFAColorSize, CGLPFAAlphaSize, CGLPFADepthSize, CGLPFAStencilSize = 99, 8, 11, 12, 13
+
+    class CGLOpenGLProfile:
+        CGLOGLPVersion_Legacy = 0x1000
+
+    CGLContextObj = CGLPixelFormatObj = ctypes.c_void_p
+    GLint = ctypes.c_int
+
+    def __init__(self, works: bool) -> None:
+        self.works = works
+        self.wanted: list[int] = []
+
+    def CGLChoosePixelFormat(self, wanted, pixels, count) -> None:  # noqa: N802
+        self.wanted = [*wanted]
+        pixels._obj.value = 7 if self.works else None
+
+    def CGLCreateContext(self, pixels, share, context) -> None:  # noqa: N802
+        context._obj.value = pixels.value + 1
+
+
+@pytest.mark.parametrize("works", [True, False])
+def test_a_mac_draws_with_or_without_a_card(monkeypatch: pytest.MonkeyPatch, works: bool) -> None:
+    made, cgl = ModuleType("mujoco.cgl"), FakeCgl(works)
+    made.GLContext, made.cgl = type("GLContext", (), {}), cgl
+    monkeypatch.setitem(sys.modules, "mujoco.cgl", made)
+    if works:
+        context = contexts.create("cgl", 16, 16)
+        assert (context._pix.value, context._context.value) == (7, 8)
+        assert isinstance(context, made.GLContext)  # whose way to be current and to be freed is MuJoCo's
+    else:
+        with pytest.raises(RuntimeError, match="no pixel format"):
+            contexts.create("cgl", 16, 16)
+    assert cgl.wanted[-1] == 0
+    assert 73 not in cgl.wanted  # CGLPFAAccelerated
+
+
+def test_a_window_that_cannot_be_made_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    glfw, made = ModuleType("glfw"), ModuleType("mujoco.glfw")
+    glfw.get_error = lambda: (65542, b"WGL: The driver does not support OpenGL")
+    made.GLContext = lambda width, height: SimpleNamespace(_context=None)
+    monkeypatch.setitem(sys.modules, "glfw", glfw)
+    monkeypatch.setitem(sys.modules, "mujoco.glfw", made)
+    with pytest.raises(RuntimeError, match=r"GLFW makes no window .*The driver does not support OpenGL"):
+        contexts.create("wgl", 16, 16)
+
+
+def test_a_test_that_takes_too_long_says_what_that_is_like(fresh: pytest.MonkeyPatch) -> None:
+    fresh.setattr(gl, "_SLOW", "as while nobody is logged in at the Mac's own screen: log in there")
+
+    def slow(name: str) -> str:
+        raise RenderError(gl._TOO_SLOW)
+
+    fresh.setattr(gl, "_probe", slow)
+    with pytest.raises(RenderError, match="nobody is logged in at the Mac's own screen: log in there; try again"):
+        gl.backend()

@@ -11,6 +11,7 @@ import subprocess
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,14 +38,14 @@ from cognitivedrone.training.openvla import lora as openvla_lora
 from cognitivedrone.training.openvla.adapters import add_adapters, take_adapters
 from cognitivedrone.training.openvla.base import (
     check_machine,
+    fitted,
     needed_bytes,
     read_base,
-    recomputes,
     trained_weights,
 )
 from cognitivedrone.training.openvla.data import SampleMaker, answer_measures, open_flights, rows_of_step
 from cognitivedrone.training.openvla.lora import MERGED, FineTuning, fine_tune, merge
-from cognitivedrone.training.openvla.recipes import LORA_RECIPES, PAPER, find_lora_recipe
+from cognitivedrone.training.openvla.recipes import LORA_RECIPES, PAPER, LoraRecipe, find_lora_recipe
 from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint
 from cognitivedrone.training.trainer.run_log import DIMENSIONS, METRICS, read_rows
 
@@ -233,6 +234,30 @@ def test_gradients_of_micro_batches_add_up(base: Path, flights: Path, tmp_path: 
     assert 0 < difference < 0.02**2 * sum(float(value.square().sum()) for value in whole.values())
 
 
+def test_where_memory_runs_out_in_the_middle_it_goes_on_with_fewer_samples_at_once(
+    base: Path, flights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    step, tried = openvla_lora._step, []
+
+    def short(network: Any, optimizer: Any, accelerator: Any, parts: Any, number: int) -> Any:
+        tried.append((number, [len(part["input_ids"]) for part in parts]))
+        if number and max(tried[-1][1]) > 2:
+            raise torch.OutOfMemoryError("CUDA out of memory")
+        return step(network, optimizer, accelerator, parts, number)
+
+    monkeypatch.setattr(openvla_lora, "_step", short)
+    recipe = replace(RECIPE, steps=3, micro_batch=4)
+    with pytest.warns(UserWarning, match="step 1: the memory is full; going on with 2 samples at once"):
+        fine_tune(FineTuning(base, flights, tmp_path / "run", recipe), lambda _: None)
+    assert tried == [(0, [4]), (1, [4]), (1, [2, 2]), (2, [2, 2])]
+    monkeypatch.setattr(openvla_lora, "_step", lambda *_: (_ for _ in ()).throw(torch.OutOfMemoryError()))
+    with (
+        pytest.warns(UserWarning, match="going on with 1 samples at once"),
+        pytest.raises(TrainingError, match=r"the memory is full with 1 samples at once; .* with --resume"),
+    ):
+        fine_tune(FineTuning(base, flights, tmp_path / "other", replace(recipe, micro_batch=2)), lambda _: None)
+
+
 @pytest.mark.slow
 def test_two_processes_learn_what_one_does_with_the_weights_copied_and_sharded(
     base: Path, flights: Path, tmp_path: Path
@@ -367,15 +392,23 @@ def test_memory_grows_with_what_is_kept_and_shrinks_with_sharding(base: Path, fl
     weights = 2 * elements(used_tensors(Config()).values())
     assert weights == needed_bytes(Config(), PAPER, 8, sharded=True) < needed
     check_machine(needed, 80_000_000_000, "cuda", base)
-    # Kept where there is room, and recomputed where not, unless the recipe says which.
-    free = {80: 80_000_000_000, 40: 40_000_000_000}
-    assert not recomputes(whole, PAPER, 1, free[80], "cuda", sharded=False)
-    assert recomputes(whole, PAPER, 1, free[40], "cuda", sharded=False)
-    assert recomputes(whole, replace(PAPER, checkpointing=True), 1, free[80], "cuda", sharded=False)
-    with pytest.raises(TrainingError, match=r"needs 7\d\.\d GB of GPU memory, has 40\.0 GB free"):
-        recomputes(whole, replace(PAPER, checkpointing=False), 1, free[40], "cuda", sharded=False)
-    with pytest.raises(TrainingError, match=r"needs 2\d\.\d GB of GPU memory, has 16\.0 GB free"):
-        recomputes(whole, PAPER, 1, 16_000_000_000, "cuda", sharded=False)
+
+    # The fastest way that there is room for, unless the recipe says which.
+    def way(recipe: LoraRecipe, gigabytes: int, processes: int = 1) -> tuple[int | None, bool | None]:
+        found = fitted(whole, recipe, processes, gigabytes * 10**9, "cuda", sharded=False)
+        return found.micro_batch, found.checkpointing
+
+    assert way(PAPER, 140) == (32, False)
+    assert way(PAPER, 80) == (16, False)
+    assert way(PAPER, 48) == (8, False)
+    assert way(PAPER, 40) == (32, True)
+    assert way(PAPER, 24) == (16, True)
+    assert way(PAPER, 80, processes=8) == (8, False)
+    assert way(replace(PAPER, micro_batch=8), 40) == (8, True)
+    assert way(replace(PAPER, checkpointing=True), 80) == (32, True)
+    assert way(replace(PAPER, checkpointing=False), 40) == (4, False)
+    with pytest.raises(TrainingError, match=r"needs 1\d\.\d GB of GPU memory, has 16\.0 GB free"):
+        way(PAPER, 16)
     with pytest.raises(
         TrainingError, match=r"needs \d\d\.\d GB of GPU memory, has 16\.0 GB free; take a smaller --mic"
     ):

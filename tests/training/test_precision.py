@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
 import torch
 from accelerate import Accelerator
+from accelerate.state import AcceleratorState
 from quick_trainings import QuickPolicyTraining
 from torch.nn.modules.module import register_module_forward_hook
 
@@ -42,6 +44,15 @@ def test_a_system_that_does_not_say_is_taken_for_one_that_does_not(tmp_path):
     assert not multiplies_bf16(tmp_path / "cpuinfo")
 
 
+@pytest.fixture
+def no_accelerator() -> Iterator[None]:
+    """Accelerate's settings hold for the whole process: those of earlier tests are none of these tests' business."""
+    AcceleratorState._reset_state(reset_partial_state=True)
+    yield
+    AcceleratorState._reset_state(reset_partial_state=True)
+
+
+@pytest.mark.usefixtures("no_accelerator")
 @pytest.mark.parametrize("casts", [True, False])
 def test_a_training_computes_in_what_suits_the_machine(tmp_path, monkeypatch, language_checkpoint, casts):
     monkeypatch.setattr(trainer, "trains_in_bf16", lambda: casts)
@@ -58,4 +69,5 @@ def test_a_training_computes_in_what_suits_the_machine(tmp_path, monkeypatch, la
     finally:
         hook.remove()
     assert seen == {torch.bfloat16 if casts else torch.float32}
-    Accelerator(mixed_precision="bf16", cpu=True)  # as the next training of this process asks for it
+    # As the next training of this process asks for it.
+    Accelerator(mixed_precision="bf16", cpu=not torch.cuda.is_available())

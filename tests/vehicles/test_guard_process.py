@@ -29,6 +29,7 @@ from waiting import soon
 
 from cognitivedrone.control.safety import SafetyConfig, Timeouts
 from cognitivedrone.errors import LinkError
+from cognitivedrone.vehicles.mavlink import message_socket
 from cognitivedrone.vehicles.mavlink.client import tlog
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.mavlink.client.preflight import FRESH_S
@@ -45,6 +46,7 @@ from cognitivedrone.vehicles.mavlink.guard.messages import (
     Message,
     pack,
 )
+from cognitivedrone.vehicles.mavlink.message_socket import MessageSocket
 
 FAST = MavlinkConfig(ready_timeout_s=0.3, takeoff_timeout_s=0.5, landing_timeout_s=60)
 """For take-offs that fail."""
@@ -137,6 +139,34 @@ def pilot(peer: Peer, after: str = "pass", rules: str = QUICK) -> Iterator[subpr
 
 
 # A flight.
+
+
+@pytest.fixture
+def streams(monkeypatch):
+    """Between pilot, guard and log as on macOS: no sockets of messages."""
+    monkeypatch.setattr(message_socket, "message_pair", lambda: (*socket.socketpair(), True))
+
+
+@pytest.mark.usefixtures("streams")
+def test_a_flight_over_streams(tmp_path):
+    test_a_flight_from_arming_to_landing(tmp_path)
+
+
+@pytest.mark.usefixtures("streams")
+@pytest.mark.parametrize("nonsense", ["too long", "not a number"])
+def test_nonsense_over_a_stream_lands_when_it_goes_on(nonsense):
+    test_nonsense_stops_once_and_lands_when_it_goes_on(nonsense)
+
+
+@pytest.mark.usefixtures("streams")
+def test_a_stream_that_carries_no_messages_any_more_lands():
+    with playing() as peer, flying(peer) as drone:
+        soon(lambda: peer.setpoints_since(0))
+        drone._socket._end.send(b"\xff" * 100)
+        soon(lambda: landing(peer))
+        soon(lambda: drone._gone)
+        with pytest.raises(LinkError, match="the guard process has ended"):
+            drone.close()
 
 
 def test_a_flight_from_arming_to_landing(tmp_path):
@@ -578,7 +608,12 @@ def test_a_vehicle_whose_heartbeats_are_gone_is_lost_whatever_else_comes(monkeyp
     with playing() as peer, pilot, other:
         pilot.setblocking(False)
         guard = process.GuardProcess(
-            pilot, f"udpout:127.0.0.1:{peer.port}", SafetyConfig(), FAST, PacketLog(None), watched=-1
+            MessageSocket(pilot, framed=False),
+            f"udpout:127.0.0.1:{peer.port}",
+            SafetyConfig(),
+            FAST,
+            PacketLog(None),
+            watched=-1,
         )
         core = guard._core
         while core.link.vehicle is None:

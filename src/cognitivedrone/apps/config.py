@@ -12,6 +12,7 @@ from cognitivedrone.errors import LinkError
 from cognitivedrone.plan import Options, PilotSpec, SafetySpec, Scenario, VehicleSpec
 from cognitivedrone.printable import unprintable
 from cognitivedrone.ranges import Amount, Index, Port, Range, Share
+from cognitivedrone.system import CAMERA
 
 TimeLimit = Annotated[float, Range(0.1, unit="s")]
 AUTO = "auto"
@@ -61,7 +62,7 @@ class FlyPlan(Options):
             raise LinkError('give an instruction, such as: cognitivedrone fly --link ... "Fly through the red gate"')
         if real and not camera:
             raise LinkError(
-                "a vehicle needs --camera: /dev/videoN, an rtsp:// or http:// URL, a video file, a folder, gazebo:TOPIC"
+                f"a vehicle needs --camera: {CAMERA}, an rtsp:// or http:// URL, a video file, a folder, gazebo:TOPIC"
             )
         if camera and not real:
             raise LinkError(f"--link {self.vehicle.link} has its own camera; leave --camera out")

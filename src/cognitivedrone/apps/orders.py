@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import codecs
-import fcntl
 import os
-import select
 import signal
-import termios
 import threading
-import tty
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from types import FrameType
 from typing import TextIO
 
 from cognitivedrone.apps.values import Ending
 from cognitivedrone.errors import RunError
-from cognitivedrone.interrupts import ENDED, handling, undone_at_the_end
+from cognitivedrone.interrupts import handling, undone_at_the_end
+from cognitivedrone.system import ENDED, keys
 
 LAND = frozenset({"land", "stop"})
 LONGEST = 500
@@ -72,7 +69,7 @@ def ending_on_signals() -> Iterator[None]:
             raised = True
             raise KeyboardInterrupt(ENDED[number])
 
-    with handling(handler, (signal.SIGTERM, signal.SIGHUP)):
+    with handling(handler, [number for number in ENDED if number != signal.SIGINT]):
         yield
 
 
@@ -102,24 +99,11 @@ def readable(stream: TextIO | None) -> TextIO:
     except OSError:  # no file descriptor: nothing is typed
         return stream
     try:
-        if fcntl.fcntl(file, fcntl.F_GETFL) & os.O_ACCMODE == os.O_WRONLY:
-            raise RunError(f"standard input can only be written; {_WAY_OUT}")
-        if os.isatty(file):
-            termios.tcgetattr(file)
-            # Its settings are changed for the flight, for which the kernel stops a job in the background.
-            if _in_background(file):
-                raise RunError(f"standard input is a terminal that another job has; {_WAY_OUT}")
-    except (OSError, termios.error) as error:
+        if trouble := keys.input_trouble(file):
+            raise RunError(f"standard input {trouble}; {_WAY_OUT}")
+    except OSError as error:
         raise RunError(f"standard input cannot be read ({error.args[-1]}); {_WAY_OUT}") from None
     return stream
-
-
-def _in_background(terminal: int) -> bool:
-    """Whether this process is a background job of the terminal; one that does not control it is none."""
-    try:
-        return os.tcgetpgrp(terminal) != os.getpgrp()
-    except OSError:
-        return False
 
 
 class Keyboard:
@@ -134,7 +118,6 @@ class Keyboard:
         """The line so far."""
         self._update = update
         self._stopping = threading.Event()
-        self._before: list[object] | None = None
         try:
             self._file = stream.fileno()
         except (OSError, ValueError):  # no file descriptor, or closed
@@ -145,10 +128,10 @@ class Keyboard:
     def __enter__(self) -> Keyboard:
         if self._file >= 0:
             if os.isatty(self._file):
-                with suppress(termios.error):  # one that has gone meanwhile: the flight goes on without
-                    self._before = termios.tcgetattr(self._file)
-                    self._undo.enter_context(undone_at_the_end(self._put_back))
-                    tty.setcbreak(self._file)
+                put_back = keys.keeping_settings(self._file)
+                self._undo.callback(put_back)
+                self._undo.enter_context(undone_at_the_end(put_back))
+                keys.read_key_by_key(self._file)
             self._thread.start()
         return self
 
@@ -157,22 +140,16 @@ class Keyboard:
         if self._thread.is_alive():
             self._thread.join()
         self._undo.close()
-        self._put_back()
-
-    def _put_back(self) -> None:
-        if self._before is not None:
-            with suppress(termios.error):  # a terminal that has gone
-                termios.tcsetattr(self._file, termios.TCSADRAIN, self._before)  # type: ignore[arg-type]
 
     def _run(self) -> None:
         decoder = codecs.getincrementaldecoder("utf-8")(errors="replace")
         while not self._stopping.is_set():
-            if not select.select([self._file], [], [], 0.1)[0]:
-                continue
             try:
-                data = os.read(self._file, 4096)
+                data = keys.read_input(self._file, 0.1)
             except OSError:  # a terminal that has gone
                 break
+            if data is None:
+                continue
             if not data:
                 break
             for character in decoder.decode(data):

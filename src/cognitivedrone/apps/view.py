@@ -19,6 +19,7 @@ from rich.text import Text
 
 from cognitivedrone.apps.values import Step, Summary
 from cognitivedrone.choices import AnswerKind, DecisionKind, EventKind, ReasonerFault
+from cognitivedrone.control.async_reasoner import ANSWER_S
 from cognitivedrone.control.loop import LATE_S
 from cognitivedrone.film.page import FILM_FILE, PAGE_FILE
 from cognitivedrone.printable import visible
@@ -53,6 +54,8 @@ class Instruments:
         self._policy_s: deque[float] = deque(maxlen=WINDOW)
         self._reasoner_s: float | None = None
         self._late = 0
+        self._unaided = ""
+        """That the reasoner is too late to be of use; empty otherwise."""
         self._hold = ""
         """Why it hovers; empty otherwise."""
         self._events: deque[Event] = deque(maxlen=EVENTS_SHOWN)
@@ -68,6 +71,10 @@ class Instruments:
         """Show an event."""
         if event.kind in ("adopted", "agreed", "kept"):
             self._reasoner_s = event.age_s
+            if event.age_s is not None and event.age_s <= ANSWER_S:
+                self._unaided = ""
+        if event.kind == "unaided":
+            self._unaided = event.text
         if event.kind in ("hold", "sure", "segment"):
             self._hold = event.text if event.kind == "hold" else ""
         self._late += event.kind == "late"
@@ -95,6 +102,8 @@ class Instruments:
         if guidance is not None:
             text = f"{guidance.directive} ({guidance.confidence:.0%} sure, frame {guidance.age:.1f} s old)"
             lines.add_row("directive", _literal(text))
+        if self._unaided:
+            lines.add_row("reasoner", Text(visible(self._unaided), style="bold yellow"))
         if self._hold:
             lines.add_row("pilot", Text(visible(self._hold), style="bold yellow"))
         lines.add_row("action", f"{_velocity(step.sent[:3])} m/s, turn {step.sent[3]:+.2f} rad/s")

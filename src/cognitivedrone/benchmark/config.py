@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 from cognitivedrone.errors import RunError
 from cognitivedrone.plan import Options, PilotSpec, Rule, Scenario, VehicleSpec
 from cognitivedrone.ranges import Amount, Count, Range
+from cognitivedrone.system import refusal
 
 _NEVER = {"command": "never"}
 Workers = Annotated[int, Range(0, 4096)]
@@ -75,7 +76,7 @@ class Plan(Options):
             problem = "--workers 0 flies in this process; leave out --executor ray, or give at least one worker"
         elif ray and kind == "gazebo":
             problem = "--link gazebo flies the one vehicle of this machine; leave out --executor ray"
-        if problem:
+        if problem := problem or (refusal("--executor ray") if ray else ""):
             raise RunError(problem)
 
 

@@ -155,6 +155,7 @@ def _run_of(results: Results, where: str) -> SubmittedRun:
         mean,
         tuple(tuple(Ended(stage.outcome, stage.chosen) for stage in each.stages) for each in episodes),
         "" if facts.get("commit") == "none" else facts.get("commit", ""),
+        results.renderer,
     )
 
 
@@ -196,14 +197,17 @@ def _verified(run: SubmittedRun, job: Job, sample: int, seed: int, progress: boo
     invalid = [index for index, ends in enumerate(run.flown) if any(end.outcome == "invalid" for end in ends)]
     invalid = sorted(rng.choice(invalid, min(sample, len(invalid)), replace=False).tolist()) if invalid else []
     ended: dict[int, tuple[Ended, ...]] = {}
+    renderers: set[str] = set()
     with InProcess(Flights(job)) as pool, progress_bar(show=progress) as bar:
         todo = [*dict.fromkeys([*chosen, *invalid])]
         shown = bar.add_task(run.run.suite.name, total=len(todo))
-        for episode, ends in zip(todo, _ends(pool, todo), strict=True):
+        for episode, ends in zip(todo, _ends(pool, todo, renderers), strict=True):
             ended[episode] = ends
             bar.advance(shown)
         differ = [episode for episode in chosen if ended[episode] != run.flown[episode]]
-        repeats = all(ends == ended[episode] for episode, ends in zip(differ, _ends(pool, differ), strict=True))
+        repeats = all(
+            ends == ended[episode] for episode, ends in zip(differ, _ends(pool, differ, renderers), strict=True)
+        )
     stages = [pair for episode in chosen for pair in zip(ended[episode], run.flown[episode], strict=True)]
     claimed = [pair for episode in todo for pair in zip(ended[episode], run.flown[episode], strict=True)]
     passes = [(now.outcome == "passed", before.outcome == "passed") for now, before in stages]
@@ -218,12 +222,14 @@ def _verified(run: SubmittedRun, job: Job, sample: int, seed: int, progress: boo
         better=sum(now and not before for now, before in passes),
         valid=sum(before.outcome == "invalid" != now.outcome for now, before in claimed),
         repeats=repeats,
-        differences=tuple(_differences(run, job)),
+        differences=tuple(_differences(run, job, renderers)),
     )
 
 
-def _ends(pool: Pool[Wanted, Rollout], episodes: Sequence[int]) -> Iterator[tuple[Ended, ...]]:
-    for rollout, _ in pool.fly([*map(Wanted, episodes)]):
+def _ends(pool: Pool[Wanted, Rollout], episodes: Sequence[int], renderers: set[str]) -> Iterator[tuple[Ended, ...]]:
+    """How every flight ends, stage by stage; adds to `renderers` what draws them."""
+    for rollout, renderer in pool.fly([*map(Wanted, episodes)]):
+        renderers.add(renderer)
         yield tuple(Ended(stage.outcome, stage.chosen) for stage in rollout.result.stages)
 
 
@@ -247,7 +253,9 @@ def _job(run: SubmittedRun, policy: str | None, reasoner: str | None) -> Job:
     return job
 
 
-def _differences(run: SubmittedRun, job: Job) -> Iterator[str]:
+def _differences(run: SubmittedRun, job: Job, renderers: set[str]) -> Iterator[str]:
+    if run.renderer and (here := " and ".join(sorted(renderers))) != run.renderer:
+        yield f"renderer {here} instead of {run.renderer}"
     for name, version in run.run.versions.items():
         if job.facts.versions.get(name) != version:
             yield f"{name} {job.facts.versions.get(name, 'none')} instead of {version}"

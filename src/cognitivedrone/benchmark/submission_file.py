@@ -78,6 +78,8 @@ class SubmittedRun:
     """Every stage of every episode."""
     commit: str = field(default="", metadata={"json": "where set"})
     """Of the source that flew it, if it was a checkout."""
+    renderer: str = field(default="", metadata={"json": "where set"})
+    """What drew the frames; empty in files that older versions wrote."""
 
     @property
     def summary(self) -> Summary:
@@ -141,6 +143,7 @@ def check_texts(submission: Submission, where: str) -> None:
     for run in submission.runs:
         facts = run.run
         texts = {"command": run.command, "machine": run.machine, "policy": facts.policy, "reasoner": facts.reasoner}
+        texts |= {"renderer": run.renderer}
         texts |= {f"versions: {name}": f"{name} {version}" for name, version in facts.versions.items()}
         texts |= {f"options.{name}": value for name, value in facts.options.items() if isinstance(value, str)}
         for what, text in texts.items():

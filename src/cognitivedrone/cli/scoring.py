@@ -250,6 +250,8 @@ def verify(
             )
         if run.differences:
             lines.append(f"other versions here: {', '.join(run.differences)}")
+        if run.equal < run.flown and run.repeats:
+            lines.append("on another renderer or processor the last digits of frames differ: what counts is outcomes")
         print("\n  ".join(map(visible, lines)))  # noqa: T201
     if any(run.verdict != "confirmed" for run in checked):
         raise SystemExit(1)
@@ -316,7 +318,10 @@ def view(plan: Annotated[Flat[ViewPlan], tyro.conf.arg(name="")]) -> None:
 
 
 def list_names() -> None:
-    """List suites, task families, airframes, and policies and reasoners with their arguments."""
+    """List suites, task families, airframes, and policies and reasoners with their arguments; and what draws here."""
+    from cognitivedrone.sim.gl import look_ahead
+
+    look_ahead()
     from cognitivedrone.benchmark.reports.catalogue import catalogue
     from cognitivedrone.terminal import console
 

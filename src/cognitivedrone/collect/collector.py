@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections import Counter
 from collections.abc import Iterable
@@ -27,6 +26,7 @@ from cognitivedrone.policies import make_policy
 from cognitivedrone.progress import progress_bar
 from cognitivedrone.rollout.pool import Pool, ProcessPool, WorkerCrash
 from cognitivedrone.rollout.ray_pool import RayPool
+from cognitivedrone.system import cores
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +190,7 @@ def _count(ranges: Iterable[range]) -> int:
 
 def pool_of(job: Job, config: CollectPlan, most: int) -> Pool[list[int], FlownEpisode]:
     """The workers, at most so many."""
-    workers = config.workers or len(os.sched_getaffinity(0))
+    workers = config.workers or cores()
     return RayPool(job, workers, most) if config.executor == "ray" else ProcessPool(job, min(workers, most))
 
 

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -22,10 +22,26 @@ from cognitivedrone.control.latency import LatencyModel
 from cognitivedrone.errors import PolicyRaised, ReasonerError, ReasonerFault
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.tasks.directives import declines, parse_directive
-from cognitivedrone.types import EpisodeContext, GroundTruth, Guidance, Image, SubGoal
+from cognitivedrone.types import CONTROL_HZ, REASONER_HZ, EpisodeContext, GroundTruth, Guidance, Image, SubGoal
 
 LONGEST_DIRECTIVE = 1000
 """Maximum length in characters."""
+ANSWER_S: Final = 1 / REASONER_HZ + 0.5 / CONTROL_HZ
+"""An answer that is older is late: the control step has passed in which the next question was due, s."""
+UNAIDED: Final = 40
+"""After so many late answers in a row, the policy is said to fly without its reasoner."""
+
+
+class LateAnswers:
+    """Counts the answers in a row that came late."""
+
+    def __init__(self) -> None:
+        self.row = 0
+
+    def count(self, age_s: float) -> bool:
+        """Count an answer to a frame of this age; whether it completes a row of `UNAIDED`."""
+        self.row = self.row + 1 if age_s > ANSWER_S else 0
+        return self.row == UNAIDED
 
 
 @dataclass(frozen=True, slots=True)

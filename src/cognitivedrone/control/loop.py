@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cognitivedrone.control.async_reasoner import AsyncReasoner, Question
+from cognitivedrone.control.async_reasoner import UNAIDED, AsyncReasoner, LateAnswers, Question
 from cognitivedrone.control.calls import begin_stage, check_chunk
 from cognitivedrone.control.directive_filter import DirectiveFilter
 from cognitivedrone.control.landing import Lander
@@ -76,6 +76,7 @@ def fly(
     A new segment resets the policy, with `seed` in its context, and drops the rest of the chunk. The `reasoner` is
     asked about the newest frame at the start of a segment and then `REASONER_HZ` times a second, if it is idle. Its
     directive replaces the instruction when it arrives; `DirectiveFilter` decides whether it replaces another directive.
+    The recorder is notified when `UNAIDED` answers in a row were late.
 
     The pilot declines while the current directive is "Hold position", or while the policy says so (`Policy.declines`).
     With that directive the drone hovers and the policy is not asked. Where the segment's instruction, never only a
@@ -88,7 +89,7 @@ def fly(
     start = clock.now()
     tolerance_s = LATE_S + resolution_of(clock)
     segment_index: int | None = None
-    directive_filter = DirectiveFilter()
+    directive_filter, late_answers = DirectiveFilter(), LateAnswers()
     declined, troubled = False, False
     pending: list[Action] = []
     lander = Lander()
@@ -107,7 +108,7 @@ def fly(
         observation = drone.observe()
         landing, pad = lands(segment.instruction)
         if reasoner is not None and not landing:
-            _poll(reasoner, directive_filter, segment, start, clock.now(), log)
+            _poll(reasoner, directive_filter, late_answers, segment, start, clock.now(), log)
             if slot >= next_question and reasoner.idle(clock.now()):
                 reasoner.ask(
                     Question(
@@ -116,7 +117,7 @@ def fly(
                 )
                 log.note(Event(clock.now() - start, "asked", segment.instruction))
                 next_question = slot + CONTROL_HZ // REASONER_HZ
-                _poll(reasoner, directive_filter, segment, start, clock.now(), log)
+                _poll(reasoner, directive_filter, late_answers, segment, start, clock.now(), log)
         guidance = directive_filter.guidance(clock.now())
         observation = replace(observation, instruction=guidance.directive if guidance else segment.instruction)
         held = guidance is not None and declines(guidance.directive)
@@ -147,6 +148,7 @@ def fly(
 def _poll(
     reasoner: AsyncReasoner,
     directive_filter: DirectiveFilter,
+    late_answers: LateAnswers,
     segment: Segment,
     start: float,
     now: float,
@@ -165,6 +167,9 @@ def _poll(
     else:
         what = directive_filter.update(answer.guidance, answer.question.time)
         log.note(Event(now - start, what, answer.guidance.directive, age))
+    if late_answers.count(age):
+        text = f"the last {UNAIDED} answers of the reasoner were late: the policy flies without it"
+        log.note(Event(now - start, "unaided", text, age))
 
 
 class _NullRecorder:

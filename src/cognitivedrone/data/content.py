@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from io import BytesIO
@@ -14,6 +13,7 @@ from PIL import Image as PillowImage
 from cognitivedrone.data.episode import Encoding, Episode
 from cognitivedrone.data.shards import WIDTHS, ShardFile
 from cognitivedrone.errors import DataError
+from cognitivedrone.system import cores
 from cognitivedrone.types import IMAGE_SIZE
 
 START_M: Final = 1e-3
@@ -26,7 +26,7 @@ UNIT: Final = 1e-3
 
 def faults_of(shard: ShardFile) -> Iterator[str]:
     """What is wrong with the episodes of an open shard, at most one fault for each."""
-    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         for facts in shard.facts:
             where = f"episode {facts['index']}"
             try:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -25,6 +24,7 @@ from cognitivedrone.data.forms import check_footer
 from cognitivedrone.data.pages import check_pages
 from cognitivedrone.errors import CognitiveDroneError, DataError
 from cognitivedrone.json_text import parse_json
+from cognitivedrone.system import sync_folder
 from cognitivedrone.tasks.format import task_from_json, task_to_json
 from cognitivedrone.types import Task
 
@@ -102,18 +102,7 @@ def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
     with clear_errors(path, "written"):
         with files.replacing(path) as temporary:
             write(temporary)
-        with folder_descriptor(path.parent) as folder:
-            os.fsync(folder)  # the new name must also survive a power failure
-
-
-@contextlib.contextmanager
-def folder_descriptor(path: Path) -> Iterator[int]:
-    """A folder, opened for syncing or locking."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        yield descriptor
-    finally:
-        os.close(descriptor)
+        sync_folder(path.parent)  # the new name must also survive a power failure
 
 
 def json_text(content: object) -> str:

@@ -46,6 +46,7 @@ from cognitivedrone.data.statistics import draw_splits, statistics
 from cognitivedrone.errors import DataError
 from cognitivedrone.files import check_no_link, is_left_over, remove, remove_left_over
 from cognitivedrone.json_text import parse_json
+from cognitivedrone.locks import LOCK_FILE
 from cognitivedrone.tasks.format import write_tasks
 
 PACKAGES: Final = ("cognitivedrone", "mujoco", "numpy", "pillow", "pyarrow")
@@ -113,12 +114,14 @@ class StoreWriter:
     def _only_left_over(self) -> bool:
         """Whether the folder is new, or of a collection that died before it wrote its manifest."""
         return not self.path.exists() or all(
-            entry.name.startswith(f".{MANIFEST}.") or (entry.name == SHARDS and not any(entry.iterdir()))
+            entry.name == LOCK_FILE
+            or entry.name.startswith(f".{MANIFEST}.")
+            or (entry.name == SHARDS and not any(entry.iterdir()))
             for entry in self.path.iterdir()
         )
 
     def _looks_like_a_store(self) -> bool:
-        names = {entry.name for entry in self.path.iterdir() if not is_left_over(entry.name)}
+        names = {entry.name for entry in self.path.iterdir() if not is_left_over(entry.name)} - {LOCK_FILE}
         return SHARDS in names and names <= _NAMES
 
     def _is_begun(self) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any, ClassVar
 
 import numpy as np
@@ -27,6 +26,7 @@ from cognitivedrone.envs.spaces import Info, action_space, check_actions, observ
 from cognitivedrone.envs.worlds import Worlds
 from cognitivedrone.errors import SimulationError, did_you_mean
 from cognitivedrone.sim.airframe import find_airframe
+from cognitivedrone.system import cores
 from cognitivedrone.tasks import Suite
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, FloatArray, GroundTruth, StageResult
 
@@ -87,7 +87,7 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
         self.views = [TaskView(render_mode, camera, find_airframe(scenario.airframe)) for _ in range(num_envs)]
         self._most_steps = None if max_episode_steps == -1 else max_episode_steps
         self._camera, self._copy = camera, copy
-        threads = threads or min(len(os.sched_getaffinity(0)), num_envs)
+        threads = threads or min(cores(), num_envs)
         self._worlds = Worlds.of(scenario, num_envs, time_limit_s=time_limit_s, threads=threads)
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]
         self._begun, self._ended = np.zeros(num_envs, dtype=bool), np.zeros(num_envs, dtype=bool)

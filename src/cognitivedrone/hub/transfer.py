@@ -19,6 +19,7 @@ from cognitivedrone.errors import CognitiveDroneError, HubError, import_extra
 from cognitivedrone.files import check_no_link, reason_of, remove, replace_file, writing
 from cognitivedrone.hub.contents import SUFFIXES, RepoType, check_names, contents_of, kind_of, size_text
 from cognitivedrone.locks import LOCK_FILE, holds_files, sole_writer
+from cognitivedrone.system import move_folder
 from cognitivedrone.usage_reports import switch_off
 
 ENDPOINT: Final = "https://huggingface.co"
@@ -113,7 +114,7 @@ def _download(
     done = Transfer(name, kind, commit, endpoint, len(listed), sum(listed.values()))
     with writing(folder, HubError):
         remove(folder, LOCK_FILE)
-        part.replace(folder)
+        move_folder(part, folder)
         record = json.dumps(asdict(done), indent=2) + "\n"
         replace_file(folder.with_name(f"{folder.name}.hub.json"), record.encode())
     return done

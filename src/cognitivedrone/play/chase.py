@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import multiprocessing
-import os
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any, Final
@@ -16,6 +15,7 @@ from cognitivedrone.film.frame import Scene
 from cognitivedrone.processes import end_with_parent, starting
 from cognitivedrone.sim.airframe import Airframe
 from cognitivedrone.sim.chase import LIVE_SIZE, ChaseView
+from cognitivedrone.system import let_others_first
 from cognitivedrone.types import FloatArray, Image
 
 QUALITY: Final = 82
@@ -75,8 +75,7 @@ def jpeg(image: Image) -> bytes:
 def _draw(pipe: Connection, airframe: Airframe) -> None:
     """The process: answers scenes and poses until the pipe is closed."""
     end_with_parent()
-    if hasattr(os, "nice"):
-        os.nice(_NICENESS)
+    let_others_first(_NICENESS)
     view: ChaseView | None = None
     with suppress(OSError, EOFError):  # the page has gone
         while True:

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import copy
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Self, cast
+from typing import TYPE_CHECKING, Any, Literal, Self, cast
 
 import numpy as np
 
 from cognitivedrone.errors import ModelError, NonFiniteAction, PluginError, PolicyError, import_extra
 from cognitivedrone.interfaces import Policy, attempt
+from cognitivedrone.models.card import remarks, why_none
 from cognitivedrone.models.openvla import checkpoint as checkpoints
 from cognitivedrone.models.openvla.checkpoint import Checkpoint, DecoderName, Quantisation
 from cognitivedrone.models.openvla.config import IMAGE
 from cognitivedrone.models.openvla.prepare import BEGIN, prompt_ids, read_encoder
-from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, FloatArray, Observation
+from cognitivedrone.progress import counted
+from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, FloatArray, Image, Observation
 
 if TYPE_CHECKING:
     from cognitivedrone.models.openvla.decode import Decoder
@@ -30,7 +33,7 @@ _USUAL_LENGTHS = (32, 64)
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """The arguments "PATH,decoder=ar|parallel,quant=none|int8|int4,device=cuda|cpu,unnorm_key=NAME,stack=N"."""
+    """The policy's arguments."""
 
     folder: Path
     decoder: DecoderName = "ar"
@@ -40,6 +43,8 @@ class Options:
     unnorm_key: str | None = None
     stack: int = 1
     """Largest number of observations in one pass of the network, where several flights are flown at once."""
+    compiled: bool | None = None
+    """Whether the network's blocks are compiled before take-off. None: on a GPU."""
 
 
 class OpenVla(Policy):
@@ -48,7 +53,8 @@ class OpenVla(Policy):
     `device` defaults to a GPU if there is one; `unnorm_key` selects the action statistics if there are several.
 
     With `stack`, up to so many flights go through the network together where there are several: faster, but rounded
-    differently. Every decision depends only on its observation.
+    differently. Every decision depends only on its observation. `compiled` compiles the network's blocks before
+    take-off, by default on a GPU; where that fails, it is said, and the network is run as it is.
 
     Raises `PolicyError` for an invalid argument or checkpoint, or too little memory, before the weights are loaded;
     `MissingExtra` if a package is missing.
@@ -63,10 +69,11 @@ class OpenVla(Policy):
         device: Literal["cuda", "cpu"] | None = None,
         unnorm_key: str | None = None,
         stack: int = 1,
+        compiled: bool | None = None,
     ) -> None:
         if stack < 1:
             raise PluginError(f"policy 'openvla': stack is {stack}; it must be at least 1")
-        self.options = Options(Path(folder), decoder, quant, device, unnorm_key, stack)
+        self.options = Options(Path(folder), decoder, quant, device, unnorm_key, stack, compiled)
         self.checkpoint = checkpoints.inspect(self.options.folder, self.options.unnorm_key)
         if self.options.decoder == "parallel" and self.checkpoint.head is None:
             raise ModelError(
@@ -110,16 +117,16 @@ class OpenVla(Policy):
         """As `Policy.fork`."""
         return copy.copy(self)
 
-    def _frame(self, observation: Observation) -> tuple[FloatArray, list[int]]:
+    def _frame(self, observation: Observation) -> tuple[Image, list[int]]:
         """The network's inputs for an observation: the image and the prompt."""
         image = observation.image
         if image.dtype != np.uint8 or image.shape != _SHAPE:
             raise PolicyError(f"OpenVLA needs uint8 images of shape {_SHAPE}, got {image.dtype} {image.shape}")
         if observation.instruction != self._text:
             self._listen(observation.instruction)
-        return self.checkpoint.preparation.pixel_values(image), self._ids
+        return self.checkpoint.preparation.square(image), self._ids
 
-    def _together(self, frames: Sequence[tuple[FloatArray, list[int]]]) -> Sequence[FloatArray | Exception]:
+    def _together(self, frames: Sequence[tuple[Image, list[int]]]) -> Sequence[FloatArray | Exception]:
         """The network's answers to some frames in one pass; an exception is that of all."""
         images, prompts = zip(*frames, strict=True)
         answers = attempt(lambda images: self._decode.together(images, prompts), np.stack(images))
@@ -153,23 +160,59 @@ def _decoder(options: Options, checkpoint: Checkpoint) -> Decoder:
         raise ModelError(
             f"the network needs {needed / 1e9:.1f} GB of GPU memory, but this machine has no GPU that PyTorch can use,"
             f" and {checkpoints.free_memory() / 1e9:.1f} GB of free main memory; use a machine with a GPU, or"
-            " device=cpu, which takes seconds per action"
+            f" device=cpu, which takes seconds per action{why_none(torch)}"
         )
+    for remark in remarks(torch) if device == "cuda" else ():
+        warnings.warn(f"policy openvla: {remark}", RuntimeWarning, stacklevel=3)
     if options.quant != "none":
         whole = checkpoints.needed_bytes(checkpoint.config, "none", stored)
         checkpoints.check_reading(whole, checkpoints.free_memory(), options.quant)
     free = torch.cuda.mem_get_info()[0] if device == "cuda" else checkpoints.free_memory()
     checkpoints.check_memory(needed, free, device)
 
-    from cognitivedrone.models.openvla.decode import Autoregressive, Parallel
     from cognitivedrone.models.openvla.weights import load
 
     dtype = torch.float32 if stored == 4 else torch.bfloat16
     network = load(checkpoint, device, dtype, options.quant)
     # Quantised weights are fast only if they are unpacked inside the multiplication, which takes a compiler.
-    compiled = device == "cuda" and options.quant != "none"
-    decoder = (Parallel if options.decoder == "parallel" else Autoregressive)(network, compiled=compiled)
-    if device == "cuda":
-        for length in _USUAL_LENGTHS:
-            decoder(np.zeros((6, IMAGE, IMAGE), np.float32), [BEGIN] * length)
-    return decoder
+    compiled = device == "cuda" if options.compiled is None else options.compiled
+    lengths = _USUAL_LENGTHS if device == "cuda" or compiled else ()
+    return warmed_up(network, checkpoint, options.decoder, lengths, compiled=compiled)
+
+
+def warmed_up(
+    network: Any,
+    checkpoint: Checkpoint,
+    name: DecoderName,
+    lengths: Sequence[int],
+    *,
+    compiled: bool,
+    backend: Any = "inductor",
+) -> Decoder:
+    """The decoder of a network, which has answered prompts of some lengths: compiled and recorded before take-off.
+
+    Where compiling fails, a warning says so, and the network is run as it is.
+    """
+    from cognitivedrone.models.openvla.compiled import compile_blocks, uncompile
+    from cognitivedrone.models.openvla.decode import Autoregressive, Parallel
+
+    def made(shown: str) -> Decoder:
+        decoder = (Parallel if name == "parallel" else Autoregressive)(network, checkpoint.preparation)
+        for length in counted(lengths, shown, len(lengths), show=compiled):
+            decoder(np.zeros((IMAGE, IMAGE, 3), np.uint8), [BEGIN] * length)
+        return decoder
+
+    if not compiled:
+        return made("recording OpenVLA")
+    compile_blocks(network, backend)
+    try:
+        return made("compiling OpenVLA (once; kept on disk)")
+    except Exception as error:  # of the compiler, the C compiler that it calls, or the card's driver
+        line = " ".join(str(error).split())[:200]
+        warnings.warn(
+            f"policy openvla flies without being compiled, which is slower: {type(error).__name__}: {line}",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+    uncompile(network)
+    return made("recording OpenVLA")

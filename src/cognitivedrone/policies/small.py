@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
@@ -19,6 +18,7 @@ from cognitivedrone.interfaces import Policy, attempt
 from cognitivedrone.models.onnx_file import check_model_file
 from cognitivedrone.models.opinions import Opinions
 from cognitivedrone.models.small_file import Output, SmallModel
+from cognitivedrone.system import cores
 from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, FloatArray, Image, Observation
 
 LONGEST_INSTRUCTION = 1000
@@ -163,12 +163,12 @@ class Small(Policy):
 
     def _outputs(self, frames: Sequence[_Frame]) -> Sequence[Output | Exception]:
         """The network's outputs for frames of several flights, n = 1 each."""
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        size = max(1, min(self._stack, -(-len(frames) // cores)))
+        number = cores()
+        size = max(1, min(self._stack, -(-len(frames) // number)))
         groups = [frames[first : first + size] for first in range(0, len(frames), size)]
         if len(groups) < 2:
             return [output for group in groups for output in _run(self.model, group)]
-        self._threads = self._threads or ThreadPoolExecutor(cores, "small")
+        self._threads = self._threads or ThreadPoolExecutor(number, "small")
         return [output for group in self._threads.map(partial(_run, self.model), groups) for output in group]
 
     def _decided(self, frame: _Frame, output: Output | Exception) -> ActionChunk | Exception:

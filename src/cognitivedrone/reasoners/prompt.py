@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import errno
+import itertools
+import json
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -41,6 +43,18 @@ ANSWER_SCHEMA: dict[str, Any] = {
     "additionalProperties": False,
 }
 """JSON schema of the answer."""
+
+
+def answers() -> list[str]:
+    """Every answer of the schema."""
+    parts = [properties["enum"] for properties in ANSWER_SCHEMA["properties"].values()]
+    return [json.dumps(dict(zip(ANSWER_SCHEMA["properties"], each, strict=True))) for each in itertools.product(*parts)]
+
+
+def constant_part(template: str) -> str:
+    """The paragraphs of a prompt before the one with the instruction: the same for every question."""
+    before = template.lstrip().partition(PLACEHOLDER)[0]
+    return before[: before.rfind("\n\n") + 2] if "\n\n" in before else ""
 
 
 def checked_tokens(reasoner: str, tokens: int) -> int:

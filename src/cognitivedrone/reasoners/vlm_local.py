@@ -1,5 +1,6 @@
 """The local VLM reasoner: Qwen2.5-VL or Qwen3-VL in this process, through Transformers.
 
+Qwen2.5-VL is decoded by `models.qwen_decoder`, the others by Transformers' own `generate()`; the answers are the same.
 The inputs are assembled here from the image processor and the tokenizer: the combined processor of Transformers 5 also
 loads a video processor, which requires torchvision even without any video.
 """
@@ -7,14 +8,27 @@ loads a video processor, which requires torchvision even without any video.
 from __future__ import annotations
 
 import importlib.util
+import warnings
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from cognitivedrone.errors import MissingExtra, ModelError, did_you_mean, import_extra
 from cognitivedrone.interfaces import Reasoner
-from cognitivedrone.reasoners.prompt import MAX_TOKENS, checked_tokens, load_prompt, write_prompt
+from cognitivedrone.models.card import why_none
+from cognitivedrone.reasoners.prompt import (
+    MAX_TOKENS,
+    answers,
+    checked_tokens,
+    constant_part,
+    load_prompt,
+    write_prompt,
+)
 from cognitivedrone.reasoners.reply import read_reply
-from cognitivedrone.types import Guidance, Image
+from cognitivedrone.types import IMAGE_SIZE, Guidance, Image
 
 FAMILIES: dict[str, str] = {
     "qwen2_5_vl": "<|im_start|>system\nYou are a helpful assistant.<|im_end|>\n",
@@ -23,7 +37,9 @@ FAMILIES: dict[str, str] = {
 }
 """Start of a conversation in each family, by the configuration's `model_type`; from its chat template."""
 IMAGE_TOKEN = "<|image_pad|>"  # noqa: S105 - a word of the model's vocabulary
-_OPENING = "<|im_start|>user\n<|vision_start|>"
+_END = "<|im_end|>"
+_OPENING = "<|im_start|>user\n"
+_BEFORE_IMAGE = "<|vision_start|>"
 _AFTER_IMAGE = "<|vision_end|>"
 _CLOSING = "<|im_end|>\n<|im_start|>assistant\n"
 
@@ -33,7 +49,8 @@ class LocalVlm(Reasoner):
 
     `model` is a folder, or a name on the hub. Nothing is downloaded unless `download` is true. Weights are read from
     safetensors, and code shipped with a model is never run. `tokens` limits an answer with its thinking; a reply that
-    reaches it is no answer.
+    reaches it is no answer. With `schema`, an answer is one of the schema's, and takes fewer passes of the network; by
+    default with the package's prompt and no thinking.
 
     Raises `ModelError` for an invalid argument or a model that cannot be loaded, `MissingExtra` for a missing package.
     """
@@ -48,11 +65,15 @@ class LocalVlm(Reasoner):
         prompt: Path | None = None,
         download: bool = False,
         tokens: int = MAX_TOKENS,
+        schema: bool | None = None,
     ) -> None:
+        self._schema = (prompt is None and tokens == MAX_TOKENS) if schema is None else schema
         self._tokens = checked_tokens("vlm-local", tokens)
         self._template = load_prompt(prompt)
         self._torch = import_extra("torch", "vlm-local")
         self._transformers = import_extra("transformers", "vlm-local")
+        if device is None and (fault := why_none(self._torch)):
+            warnings.warn(f"reasoner vlm-local runs on the processor{fault}", RuntimeWarning, stacklevel=2)
         device = device or ("cuda" if self._torch.cuda.is_available() else "cpu")
         dtype = dtype or ("float32" if device == "cpu" else "bfloat16")
         loading = {
@@ -78,15 +99,21 @@ class LocalVlm(Reasoner):
 
     def _generated(self, image: Image, instruction: str) -> tuple[str, str]:
         """The model's text, and whether it ended itself ("stop") or at the limit ("length")."""
-        inputs = self.inputs(image, instruction)
-        with self._torch.inference_mode():
-            tokens = self._model.generate(**inputs, generation_config=self._decoding)
-        answered = tokens[0, inputs["input_ids"].shape[1] :]
+        answered = self._decode(self.inputs(image, instruction))
         text = str(self._tokenizer.decode(answered, skip_special_tokens=True))
         return text, "stop" if self._decoding.eos_token_id in answered else "length"
 
+    def _generate(self, inputs: dict[str, Any]) -> list[int]:
+        """The tokens of an answer, by Transformers' own loop."""
+        begin, forms = inputs["input_ids"].shape[1], self._forms
+        allowed = forms and (lambda _, ids: forms.after(ids[begin:].tolist()))
+        with self._torch.inference_mode():
+            tokens = self._model.generate(**inputs, generation_config=self._decoding, prefix_allowed_tokens_fn=allowed)
+        answered: list[int] = tokens[0, begin:].tolist()
+        return answered
+
     def inputs(self, image: Image, instruction: str) -> dict[str, Any]:
-        """The model's inputs, as tensors with one row.
+        """The model's inputs, as tensors with one row: what is the same for every question, the image, the rest.
 
         Raises `ReasonerError` if the instruction is empty or too long.
         """
@@ -94,8 +121,10 @@ class LocalVlm(Reasoner):
         merged = self._image_processor.merge_size**2
         patches = int(seen["image_grid_thw"][0].prod()) // merged
         # The instruction is plain text: a "<|im_end|>" in it must not end the conversation.
-        words = self._encode(write_prompt(self._template, instruction), special=False)
-        before = self._encode(self._beginning + _OPENING)
+        constant = constant_part(self._template)
+        words = self._encode(write_prompt(self._template, instruction)[len(constant) :], special=False)
+        before = self._encode(self._beginning + _OPENING) + self._encode(constant, special=False)
+        before += self._encode(_BEFORE_IMAGE)
         after = self._encode(_AFTER_IMAGE) + words + self._encode(_CLOSING)
         tokens = self._torch.tensor([before + [self._image_token] * patches + after])
         made = {
@@ -132,9 +161,50 @@ class LocalVlm(Reasoner):
         self._decoding = library.GenerationConfig(
             max_new_tokens=self._tokens,
             do_sample=False,
-            eos_token_id=self._tokenizer.convert_tokens_to_ids("<|im_end|>"),
+            eos_token_id=self._tokenizer.convert_tokens_to_ids(_END),
             pad_token_id=self._tokenizer.pad_token_id,
         )
+        from cognitivedrone.models.qwen_decoder import FAMILY, Forms, QwenDecoder
+
+        allowed = Forms([self._encode(text) + self._encode(_END) for text in answers()])
+        self._forms = allowed if self._schema and allowed.longest <= self._tokens else None
+        if config.model_type == FAMILY and not bits and model.config._attn_implementation == "sdpa":
+            make = partial(
+                QwenDecoder,
+                self._model,
+                end=self._decoding.eos_token_id,
+                most=self._tokens,
+                forms=self._forms,
+            )
+            self._decode: Callable[[dict[str, Any]], list[int]] = make()
+            if device.type == "cuda":
+                self._warm_up(make)
+            return
+        self._decode = self._generate
+        if device.type == "cuda":
+            what = f"{bits} bits" if bits else f"a {config.model_type}"
+            warnings.warn(
+                f"reasoner vlm-local: {name} is decoded by generate() ({what}); only Qwen2.5-VL without bits=... is"
+                " decoded by recorded CUDA graphs, several times faster",
+                RuntimeWarning,
+                stacklevel=3,
+            )
+
+    def _warm_up(self, make: Callable[..., Callable[[dict[str, Any]], list[int]]], compiler: str = "inductor") -> None:
+        """Compile and record before take-off; where compiling fails, it is said, and the model is run as it is."""
+        asked = self.inputs(np.zeros((IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8), "Fly through the gate")
+        self._decode = make(compiler=compiler)
+        try:
+            self._decode(asked)
+        except Exception as error:  # of the compiler, the C compiler that it calls, or the card's driver
+            line = " ".join(str(error).split())[:200]
+            warnings.warn(
+                f"reasoner vlm-local is not compiled, which is slower: {type(error).__name__}: {line}",
+                RuntimeWarning,
+                stacklevel=4,
+            )
+            self._decode = make()
+            self._decode(asked)
 
 
 def _quantised(library: Any, torch: Any, bits: int, device: Any) -> dict[str, Any]:

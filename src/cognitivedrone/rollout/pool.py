@@ -10,10 +10,10 @@ from __future__ import annotations
 import contextlib
 import faulthandler
 import multiprocessing
-import os
 import signal
 import time
 import traceback
+import warnings
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
@@ -24,7 +24,8 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Generic, Protocol, Self, TypeVar
 
-from cognitivedrone.errors import CognitiveDroneError, RunError, plain_warnings
+from cognitivedrone import system
+from cognitivedrone.errors import CognitiveDroneError, FirstFrameError, RunError, plain_warnings
 from cognitivedrone.processes import end_with_parent, starting
 from cognitivedrone.temporary import TemporaryFolder
 
@@ -34,8 +35,6 @@ STOP_S = 1.0
 """Time that all workers together may take to exit where the work is stopped: they have nothing to write, s."""
 POLL_S = 0.2
 """Period of the check for hanging calls, s."""
-FROM_OUTSIDE = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
-"""Signals sent from outside: by the out-of-memory killer, a person, or a batch system."""
 
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
@@ -194,7 +193,7 @@ class CallClock:
         self._began.value = 0.0
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, eq=False)
 class _Worker:
     process: BaseProcess
     connection: Connection
@@ -267,7 +266,7 @@ class ProcessPool(Pool[Item, Answer]):
             arrived = wait([worker.connection for worker in self._workers], POLL_S)
             now = time.monotonic()
             passed_s, looked = min(now - looked, 5 * POLL_S), now
-            for position, worker in enumerate(self._workers):
+            for worker in list(self._workers):
                 hangs = worker.look(passed_s) > self._work.time_limit_s
                 if worker.connection in arrived:
                     came = self._receive(worker)
@@ -275,8 +274,10 @@ class ProcessPool(Pool[Item, Answer]):
                     came = self._end_hanging(worker)
                 else:
                     continue
+                if worker not in self._workers:
+                    continue
                 if worker.connection.closed:
-                    self._workers[position] = self._start_worker()
+                    self._workers[self._workers.index(worker)] = self._start_worker()
                 elif came is None:
                     self._give(worker, todo)
                 if came is not None:
@@ -301,9 +302,20 @@ class ProcessPool(Pool[Item, Answer]):
             return None
         if isinstance(message, _Answer):
             return message
+        if isinstance(message.error, FirstFrameError) and not worker.item and len(self._workers) > 1:
+            self._go_on_without(worker, message.error)
+            return None
         if isinstance(message.error, CognitiveDroneError):
             raise message.error
         raise WorkerCrash(f"{self._doing(worker)} failed: {message.error}", message.trace)
+
+    def _go_on_without(self, worker: _Worker, error: FirstFrameError) -> None:
+        """Let fewer processes draw: what one card returns no frames to, it returns none to its successor."""
+        worker.process.kill()  # its OpenGL hangs, also at the end of the process
+        worker.connection.close()
+        self._workers.remove(worker)
+        self.size = len(self._workers)
+        warnings.warn(f"{error} {self.size} of {self._hired} workers go on.", stacklevel=2)
 
     def _after_death(self, worker: _Worker) -> _Answer:
         """The answer of a worker that died inside a call; raises `RunError` for any other death."""
@@ -312,7 +324,7 @@ class ProcessPool(Pool[Item, Answer]):
         how = f"ended with exit code {code}"
         if code is not None and code < 0:
             how = f"was killed by {signal.Signals(-code).name}"
-        from_outside = code is not None and -code in FROM_OUTSIDE
+        from_outside = code is not None and -code in system.FROM_OUTSIDE
         if worker.item and worker.began.value and not from_outside:
             return self._lose(worker, f"its process {how} during a call of policy or reasoner")
         if not worker.item:
@@ -328,7 +340,7 @@ class ProcessPool(Pool[Item, Answer]):
         """End a worker whose call takes too long."""
         # The worker's fault handler writes its traceback even if the interpreter is blocked.
         if worker.process.pid is not None:
-            os.kill(worker.process.pid, signal.SIGUSR1)
+            system.ask_for_threads(worker.process.pid)
         worker.process.join(POLL_S)
         worker.process.kill()
         worker.process.join(JOIN_TIMEOUT_S)
@@ -337,7 +349,7 @@ class ProcessPool(Pool[Item, Answer]):
 
     def _lose(self, worker: _Worker, message: str) -> _Answer:
         worker.connection.close()
-        trace = worker.crash_file.read_text(errors="replace") if worker.crash_file.exists() else ""
+        trace = worker.crash_file.read_text(encoding="utf-8", errors="replace") if worker.crash_file.exists() else ""
         return _Answer(self._work.lost(worker.item[0], message, trace or message))
 
     def _doing(self, worker: _Worker) -> str:
@@ -372,9 +384,9 @@ class ProcessPool(Pool[Item, Answer]):
 def _work(connection: Connection, began: Any, crash_file: Path, work: Work[Any, Any]) -> None:
     """Main function of a worker process: make a worker, do the items that come, exit when the stream ends."""
     end_with_parent()
-    with crash_file.open("w") as crashes:
+    with crash_file.open("w", encoding="utf-8") as crashes:
         faulthandler.enable(crashes)
-        faulthandler.register(signal.SIGUSR1, crashes)
+        system.show_threads_on_request(crashes)
         try:
             worker: Worker = work.open(CallClock(began))
             try:
@@ -393,4 +405,4 @@ def _work(connection: Connection, began: Any, crash_file: Path, work: Work[Any, 
             connection.send(_Failed(f"{type(error).__name__}: {error}", traceback.format_exc()))
         finally:
             faulthandler.disable()
-            faulthandler.unregister(signal.SIGUSR1)
+            system.show_threads_on_request(None)

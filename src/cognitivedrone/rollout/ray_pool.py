@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import platform
 import sys
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
@@ -44,10 +45,10 @@ class Actor:
         try:
             differing = self._work.differences()
         except CognitiveDroneError as error:
-            raise RunError(f"node {os.uname().nodename} cannot fly this run: {error}") from None
+            raise RunError(f"node {platform.node()} cannot fly this run: {error}") from None
         if differing:
             raise RunError(
-                f"node {os.uname().nodename} would fly another run: {differing}; "
+                f"node {platform.node()} would fly another run: {differing}; "
                 "give every node the same files at the same paths and the same versions"
             )
         self._pool = ProcessPool(self._work, 1)

@@ -22,6 +22,7 @@ from cognitivedrone.serving.app import PolicyServer
 from cognitivedrone.serving.config import ServePlan
 from cognitivedrone.serving.protocols import UNREAD_S, limited
 from cognitivedrone.serving.sessions import Served
+from cognitivedrone.system import close_unread
 
 STOP_S = 2
 """Time that clients have to leave when the server stops, s."""
@@ -111,8 +112,7 @@ def _listen(plan: ServePlan) -> socket.socket:
     try:
         listening = socket.create_server((plan.bare_host, plan.port), family=family, backlog=128)
         keep_alive(listening)  # connections inherit these
-        if hasattr(socket, "TCP_USER_TIMEOUT"):
-            listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1000 * UNREAD_S))
+        close_unread(listening, UNREAD_S)
         return listening
     except OSError as error:
         raise ServerError(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import weakref
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import wait
 from functools import partial
 from typing import Any
@@ -20,7 +20,9 @@ from PIL import Image as PillowImage
 
 from cognitivedrone.errors import RenderError
 from cognitivedrone.frames import rotation_matrix
-from cognitivedrone.sim.gl import GLThread, enlarge_only
+from cognitivedrone.sim.gl import GLThread, enlarge_only, renderer_name
+from cognitivedrone.sim.readback import OneByOne, readback
+from cognitivedrone.sim.renderers import contexts_for, on_processor
 from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT, View, focal_length, top_view
 from cognitivedrone.types import IMAGE_SIZE, DroneState, FloatArray, Image, Images, Stage, Vector, Vectors
 from cognitivedrone.world.appearance import PLAIN, Appearance, expose
@@ -37,11 +39,13 @@ _SUPERSAMPLE = 2  # third-person views are drawn this many times larger and down
 class Cameras:
     """The cameras of `slots` worlds. Use it as a context manager, or call `close`.
 
-    `threads` renderers share the slots, each with its own OpenGL context and thread. Raises `RenderError` without
-    OpenGL.
+    Up to `threads` renderers share the slots, each with its own OpenGL context and thread: as many as pay off with
+    what draws, or `contexts` of them. Raises `RenderError` without OpenGL.
     """
 
-    def __init__(self, slots: int = 1, size: int = IMAGE_SIZE, *, threads: int = 1) -> None:
+    def __init__(
+        self, slots: int = 1, size: int = IMAGE_SIZE, *, threads: int = 1, contexts: int | None = None
+    ) -> None:
         if not 1 <= threads <= slots:
             raise ValueError(f"threads must be 1 to the number of slots ({slots}), not {threads}")
         if -(-slots // threads) > MAX_SLOTS:
@@ -52,11 +56,16 @@ class Cameras:
         self._renderers: list[_Renderer] = []
         self._finalizer = weakref.finalize(self, _close, self._threads, self._renderers)
         self._finalizer.atexit = False  # GLThread handles it, in the right order
+        renderer = renderer_name()
+        threads = contexts or contexts_for(renderer, slots, threads, MAX_SLOTS)
         for index in range(threads):
             thread = GLThread(size, size, display=index % 2)
             self._threads.append(thread)
             owned = len(range(index, slots, threads))
-            self._renderers.append(thread.keep(thread.call(partial(_Renderer, owned, size)).result()))
+            self._renderers.append(thread.keep(thread.call(partial(_Renderer, owned, size, renderer)).result()))
+        if not on_processor(renderer):
+            for thread, made in zip(self._threads, self._renderers, strict=True):
+                thread.first(made.first_frame)
 
     def __enter__(self) -> Cameras:
         return self
@@ -153,7 +162,7 @@ class Cameras:
 class _Renderer:
     """The slots of one OpenGL context. Created and used only in that context's thread."""
 
-    def __init__(self, slots: int, size: int) -> None:
+    def __init__(self, slots: int, size: int, renderer: str) -> None:
         self._size = size
         self._assets = build_assets(slots, size)
         self._context = mujoco.MjrContext(self._assets.model, mujoco.mjtFontScale.mjFONTSCALE_50.value)
@@ -162,8 +171,13 @@ class _Renderer:
         self._stages: list[Stage | None] = [None] * slots
         self._looks: list[Appearance] = [PLAIN] * slots
         self._places: dict[str, int] = {}  # the texture that each place is in
-        self._pixels = np.empty((size, size, 3), np.uint8)
         self._viewport = mujoco.MjrRect(0, 0, size, size)
+        self._readback = readback(renderer, self._context, size, size)
+
+    def first_frame(self) -> None:
+        """Draw and read a frame of nothing, to see whether it comes."""
+        mujoco.mjr_render(self._viewport, self._scenes[0], self._context)
+        list(self._readback.frames([0], np.empty((1, self._size, self._size, 3), np.uint8)))
 
     def stage(self, slot: int) -> Stage:
         stage = self._stages[slot]
@@ -218,12 +232,17 @@ class _Renderer:
         self, job: list[tuple[int, int]], eye: Vectors, forward: Vectors, up: Vectors, out: Images, blur: FloatArray
     ) -> None:
         """Render (index, slot) pairs of `job` into `out[index]`."""
-        for index, slot in job:
-            self.stage(slot)
-            scene, appearance = self._scenes[slot], self._looks[slot]
-            _aim(scene, eye[index], forward[index], up[index])
-            self._draw(scene, self._viewport, self._pixels)
-            out[index] = self._pixels[::-1]
+        slots = dict(job)
+
+        def drawn() -> Iterator[int]:
+            for index, slot in job:
+                self.stage(slot)
+                _aim(self._scenes[slot], eye[index], forward[index], up[index])
+                mujoco.mjr_render(self._viewport, self._scenes[slot], self._context)
+                yield index
+
+        for index in self._readback.frames(drawn(), out):
+            appearance = self._looks[slots[index]]
             pose = np.concatenate([eye[index], forward[index], up[index]])
             expose(out[index], appearance, zlib.crc32(pose.tobytes()), appearance.exposure_s * blur[index])
 
@@ -239,20 +258,16 @@ class _Renderer:
         _aim(scene, view.eye, view.forward, view.up)
         mujoco.mjr_resizeOffscreen(width, height, self._context)
         try:
-            self._draw(scene, mujoco.MjrRect(0, 0, width, height), pixels)
+            mujoco.mjr_render(mujoco.MjrRect(0, 0, width, height), scene, self._context)
+            OneByOne(self._context, width, height).read(pixels)
         finally:
             mujoco.mjr_resizeOffscreen(self._size, self._size, self._context)
             scene.ngeom = stage_geoms
             _set_lens(scene, FIELD_OF_VIEW)
-        return np.array(PillowImage.fromarray(pixels[::-1]).reduce(_SUPERSAMPLE))
+        return np.array(PillowImage.fromarray(pixels).reduce(_SUPERSAMPLE))
 
     def free(self) -> None:
         self._context.free()
-
-    def _draw(self, scene: Any, viewport: Any, pixels: NDArray[np.uint8]) -> None:
-        """Draw into `pixels`, the bottom row first."""
-        mujoco.mjr_render(viewport, scene, self._context)
-        mujoco.mjr_readPixels(pixels, None, viewport, self._context)
 
 
 def _set_lens(scene: Any, field_of_view: float) -> None:

@@ -20,6 +20,7 @@ from cognitivedrone.frames import quaternion_from_yaw, rotate_yaw, wrap_angle, y
 from cognitivedrone.sim.airframe import RACER, ROTORS, Airframe
 from cognitivedrone.sim.drone_world import Scenery
 from cognitivedrone.sim.gl import GLThread
+from cognitivedrone.sim.readback import OneByOne
 from cognitivedrone.sim.views import View
 from cognitivedrone.types import COLORS, FloatArray, Image, Quaternion, Stage, Vector
 from cognitivedrone.world import assets, geometry, places
@@ -163,7 +164,7 @@ class _Renderer:
             self._scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = 1
         self._options = mujoco.MjvOption()
         self._camera = mujoco.MjvCamera()
-        self._pixels = np.empty((self._height, self._width, 3), np.uint8)
+        self._readback = OneByOne(self._context, self._width, self._height)
         self._rotors = [self._model.body(f"rotor{index}").mocapid[0] for index in range(len(ROTORS))]
         self._hubs = _hubs(airframe)
 
@@ -188,8 +189,9 @@ class _Renderer:
         _add_shadows(self._scene, self._model)
         viewport = mujoco.MjrRect(0, 0, self._width, self._height)
         mujoco.mjr_render(viewport, self._scene, self._context)
-        mujoco.mjr_readPixels(self._pixels, None, viewport, self._context)
-        return self._pixels[::-1].copy()
+        frame = np.empty((self._height, self._width, 3), np.uint8)
+        self._readback.read(frame)
+        return frame
 
     def free(self) -> None:
         self._context.free()

@@ -1,15 +1,14 @@
 """Off-screen OpenGL: choice of the rendering library, and threads that own a context.
 
 MuJoCo picks a backend on import and fails late, with an unclear error, if that does not work. Here a child
-process tries EGL and then OSMesa, once; the result is stored in this process and, in an environment variable, for
-its children. A user's own `MUJOCO_GL` takes precedence.
+process tries what this system has (`system.OPENGL`: on Linux EGL and then OSMesa), once; the result is stored in this
+process and, in an environment variable, for its children. A user's own `MUJOCO_GL` takes precedence.
 """
 
 from __future__ import annotations
 
 import atexit
 import ctypes
-import importlib
 import os
 import re
 import signal
@@ -25,26 +24,30 @@ from functools import partial
 from queue import SimpleQueue
 from typing import Any, Final, TypeVar
 
-from cognitivedrone.errors import RenderError
+from cognitivedrone.errors import FirstFrameError, RenderError
 from cognitivedrone.printable import visible
 from cognitivedrone.processes import environment
 from cognitivedrone.shortages import tight_limit, way_out_of
+from cognitivedrone.sim import contexts, renderers
+from cognitivedrone.system import OPENGL, OPENGL_TEST, after_fork, c_library
 
-BACKENDS: Final = ("egl", "osmesa")
+BACKENDS: Final = tuple(OPENGL)
 _REMEMBERED: Final = "COGNITIVEDRONE_GL"
-_INSTALL: Final = "apt-get install -y libegl1 libgl1-mesa-dri libopengl0"
-_INSTALLS: Final = {"egl": _INSTALL, "osmesa": "apt-get install -y libosmesa6"}
+_INSTALL: Final = next(iter(OPENGL.values()))
 _EGL_PLATFORM_SURFACELESS_MESA: Final = 0x31DD  # EGL_MESA_platform_surfaceless
-_PROBE: Final = """
-import importlib, sys
-context = importlib.import_module("mujoco." + sys.argv[1]).GLContext(16, 16)
+_PROBE: Final = f"""
+import runpy, sys
+context = runpy.run_path({contexts.__file__!r})["create"](sys.argv[1], 16, 16)
 context.make_current()
 from OpenGL import GL
 print("renderer:", GL.glGetString(GL.GL_RENDERER).decode())
 context.free()
 """
-_PROBE_S: Final = 120.0
+_PROBE_S, _SLOW = OPENGL_TEST
+FIRST_FRAME_S: Final = 60.0
+"""Time that a card may take for the first frame of a context, s; processes that draw on one card have hung in it."""
 _TOO_SLOW: Final = f"its test did not end within {_PROBE_S:g} s"
+_MOST_DEVICES: Final = 16  # of EGL that are tried, where the first is not the one that was chosen
 _LINES: Final = 3
 _LONGEST: Final = 400  # characters of somebody else's error
 _STEERING: Final = re.compile(
@@ -60,9 +63,11 @@ class Backend:
     """A rendering backend that was tested to work."""
 
     name: str
-    """egl or osmesa."""
+    """A name of `system.OPENGL`, such as egl or osmesa."""
     renderer: str
     """OpenGL's renderer name, for reports: "llvmpipe (LLVM 19.1.7, 256 bits)"."""
+    device: int | None = None
+    """MuJoCo's number of EGL's device, where it is not the first."""
 
 
 _chosen: Backend | None = None
@@ -80,7 +85,7 @@ def _look() -> None:
 
 
 def backend() -> Backend:
-    """The rendering backend: `MUJOCO_GL` if the user set it, else the first of EGL and OSMesa that works.
+    """The rendering backend: `MUJOCO_GL` if the user set it, else the first of `system.OPENGL` that works.
 
     llvmpipe is set to render in the calling thread, which is faster for small images, unless the user's
     `LP_NUM_THREADS` says otherwise. Raises `RenderError` with the command to install it if nothing works.
@@ -89,11 +94,15 @@ def backend() -> Backend:
     os.environ.setdefault("LP_NUM_THREADS", "0")  # the library reads it on loading
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if wanted and wanted not in BACKENDS:
-        raise RenderError(f"MUJOCO_GL={wanted} cannot render without a screen; unset it, or set it to egl or osmesa.")
+        raise RenderError(
+            f"MUJOCO_GL={wanted} cannot render without a screen; unset it, or set it to {' or '.join(BACKENDS)}."
+        )
     with _choosing:
         if _chosen is None or (wanted and wanted != _chosen.name):
             _chosen = _remembered(wanted) or _find(wanted)
             os.environ[_REMEMBERED] = f"{_chosen.name}:{_chosen.renderer}"
+            if _chosen.device is not None:
+                os.environ[renderers.DEVICE] = str(_chosen.device)  # MuJoCo reads it at the first context
         return _chosen
 
 
@@ -105,7 +114,7 @@ def renderer_name() -> str:
 def create_context(name: str, width: int, height: int) -> Any:
     """A current OpenGL context of backend `name` for the calling thread, with `make_current()` and `free()`."""
     try:
-        context = importlib.import_module(f"mujoco.{name}").GLContext(width, height)
+        context = contexts.create(name, width, height)
         context.make_current()
     except Exception as error:  # ctypes, PyOpenGL and MuJoCo each fail in their own way
         raise RenderError(_advice({name: _one_line(error)}, _INSTALL)) from None
@@ -182,6 +191,19 @@ class GLThread:
         self._jobs.put((job, future))
         return future
 
+    def first(self, draw: Callable[[], None]) -> None:
+        """Draw the first frame in the thread. Raises `FirstFrameError` if it does not come; the thread is then lost."""
+        try:
+            self.call(draw).result(FIRST_FRAME_S)
+        except TimeoutError:
+            self._stopped = True  # nothing waits for it any more, not even the end of the process
+            atexit.unregister(self.stop)
+            _lost.append(self)
+            raise FirstFrameError(
+                f"{backend().renderer} drew no frame within {FIRST_FRAME_S:g} s; let fewer processes draw on it "
+                f"(--workers), or set {renderers.CHOICE}=cpu."
+            ) from None
+
     def keep(self, made: T) -> T:
         """What was made in the context, unchanged; a forked child, which has no such thread, will never free it."""
         self._kept.append(made)
@@ -189,7 +211,7 @@ class GLThread:
 
     def release(self, made: Any) -> None:
         """Run `free()` of what is kept, in the thread; a forked child has nothing to free, and nothing is done."""
-        if os.getpid() == self._process:
+        if os.getpid() == self._process and not self._stopped:
             self.call(made.free).result()
             self._kept = [kept for kept in self._kept if kept is not made]
 
@@ -212,6 +234,8 @@ class GLThread:
 
 
 _threads: weakref.WeakSet[GLThread] = weakref.WeakSet()
+_lost: list[GLThread] = []
+"""Threads that hang. What they hold must not be freed in another thread."""
 
 
 def _in_a_forked_child() -> None:
@@ -224,13 +248,13 @@ def _in_a_forked_child() -> None:
         return
     for thread in _threads:
         thread.abandon()
-    library = ctypes.CDLL(None)
+    library = c_library()
     if hasattr(library, "on_exit"):  # they are called in reverse: the output of C is still written
         library.on_exit(library._exit, None)
         library.__cxa_atexit(library.fflush, None, None)
 
 
-os.register_at_fork(after_in_child=_in_a_forked_child)
+after_fork(_in_a_forked_child)
 
 
 def _thread_context(chosen: Backend, width: int, height: int, display: int) -> Any:
@@ -254,26 +278,47 @@ def _serve(jobs: SimpleQueue[tuple[Callable[[], Any], Future[Any]] | None]) -> N
 def _remembered(wanted: str) -> Backend | None:
     """The backend that a parent process found, if it is the wanted one."""
     name, _, renderer = os.environ.get(_REMEMBERED, "").partition(":")
-    return Backend(name, renderer) if name in BACKENDS and wanted in ("", name) else None
+    return Backend(name, renderer) if name in BACKENDS and wanted in ("", name) and renderers.suits(renderer) else None
 
 
 def _find(wanted: str) -> Backend:
-    """The first backend that works in a child process; if one is wanted, only that one."""
+    """The first backend that works in a child process and suits the person's choice; if one is wanted, only that one.
+
+    Raises `RenderError` if none works, or none is what the person chose.
+    """
     failures: dict[str, str] = {}
+    others: list[Backend] = []
     for name in (wanted,) if wanted else BACKENDS:
         try:
-            return Backend(name, _probe(name))
+            found = Backend(name, _probe(name))
         except RenderError as error:
             failures[name] = str(error)
-    raise RenderError(_advice(failures, _INSTALLS[wanted] if wanted else _INSTALL))
+            continue
+        if renderers.suits(found.renderer):
+            return found
+        if name == "egl" and not os.environ.get(renderers.DEVICE):
+            for device in range(_MOST_DEVICES):
+                try:
+                    renderer = _probe(name, device=device)
+                except RenderError:  # there are no more
+                    break
+                if renderers.suits(renderer):
+                    return Backend(name, renderer, device)
+        others.append(found)
+    if not others:
+        raise RenderError(_advice(failures, OPENGL[wanted] if wanted else _INSTALL))
+    renderers.check(others[0].renderer)
+    return others[0]
 
 
-def _probe(name: str, without: Collection[str] = ()) -> str:
+def _probe(name: str, without: Collection[str] = (), device: int | None = None) -> str:
     """The renderer's name in a child process, which may crash, started without some of the environment's variables.
 
-    Raises `RenderError` with OpenGL's own error.
+    On EGL's device of a number, if one is given. Raises `RenderError` with OpenGL's own error.
     """
     variables = {variable: value for variable, value in environment().items() if variable not in without}
+    if device is not None:
+        variables[renderers.DEVICE] = str(device)
     try:
         child = subprocess.run(  # noqa: S603
             [sys.executable, "-c", _PROBE, name],
@@ -305,7 +350,7 @@ def _advice(failures: Mapping[str, str], install: str) -> str:
     """What OpenGL itself says, and the way out: variables without which it starts, or else its installation."""
     reasons = "; ".join(f"{name}: {reason}" for name, reason in failures.items())
     if _TOO_SLOW in failures.values():
-        return f"it is not known whether OpenGL starts ({reasons}), as on a machine that is busy or swaps; try again"
+        return f"it is not known whether OpenGL starts ({reasons}), {_SLOW}; try again"
     if way_out := way_out_of(reasons) or tight_limit():
         return f"OpenGL does not start ({reasons}); {way_out}"
     steering = [name for name in os.environ if _STEERING.match(name) and not _is_ours(name)]

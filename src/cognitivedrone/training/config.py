@@ -58,7 +58,7 @@ class FineTunePlan(Options):
     resume: bool = False
     """Continue from the checkpoint in the folder."""
     micro_batch: Count | None = None
-    """Samples at once on each GPU, 8 by default; fewer need less memory."""
+    """Samples at once on each GPU, by default as many as are fastest in its free memory; fewer need less."""
     shard: bool = False
     """Shard the weights over the GPUs instead of copying them to each."""
     key: str = "cognitivedrone"

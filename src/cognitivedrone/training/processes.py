@@ -16,6 +16,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn
 
+from cognitivedrone import system
 from cognitivedrone.errors import CognitiveDroneError, TrainingError
 from cognitivedrone.locks import sole_writer
 from cognitivedrone.printable import message
@@ -50,12 +51,12 @@ def run_processes(command: Sequence[str], lock: int | None = None) -> None:
     They end with this call, with an exception in it, and with this process, however that ends; until then they hold the
     lock of this descriptor, too.
     """
-    kept = () if lock is None else (lock,)
+    kept = system.inheriting(() if lock is None else (lock,))
     with TemporaryFolder("training") as folder:
         file = folder / "error"
         variables = {"OMP_NUM_THREADS": "1", **environment(), **starter(), ERROR_FILE: str(file)}
         with starting():  # without ctrl-C: this process shuts them down in order
-            process = subprocess.Popen(command, env=variables, pass_fds=kept)  # noqa: S603
+            process = subprocess.Popen(command, env=variables, **kept)  # noqa: S603
         try:
             code = process.wait()
         except BaseException:

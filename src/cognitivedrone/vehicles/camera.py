@@ -6,7 +6,8 @@
 |---|---|
 | a folder | its images in the order of their names (2 before 10), at `rate_hz`, upright; hidden files are skipped |
 | a video file | at its own pace, turned as its metadata says |
-| `/dev/videoN` | a camera of this machine (Video4Linux) |
+| `/dev/videoN` | a camera of this machine, on Linux (Video4Linux) |
+| `avfoundation:N`, `dshow:video=NAME` | the same on macOS and on Windows; neither has been tried |
 | `rtsp://`, `rtsps://`, `http://`, `https://`, `udp://`, `tcp://`, `srt://` | a stream |
 
 All sources are read with PyAV, which is part of the base install; OpenCV is not needed. A thread reads the source and
@@ -32,6 +33,7 @@ import av
 import numpy as np
 from PIL import Image as Pictures
 
+from cognitivedrone import system
 from cognitivedrone.errors import CameraError
 from cognitivedrone.files import is_hidden, natural_order
 from cognitivedrone.pictures import MAX_PICTURE_BYTES, MAX_PIXELS, OTHER_SUFFIXES, read_picture
@@ -112,18 +114,18 @@ def open_camera(source: str, config: CameraConfig | None = None) -> Camera:
     config = config or CameraConfig()
     if source.startswith(STREAMS):
         return VideoCamera(source, config, live=True)
-    if source.startswith("/dev/"):
-        if not Path(source).exists():
+    if source.startswith(system.DEVICES):
+        if source.startswith("/") and not Path(source).exists():
             known = ", ".join(sorted(str(p) for p in Path("/dev").glob("video*"))) or "none"
             raise CameraError(f"there is no camera {source}; cameras of this machine: {known}")
-        return VideoCamera(source, config, live=True, container="v4l2")
+        return VideoCamera(source, config, live=True, container=system.CAMERA_FORMAT)
     path = Path(source)
     if path.is_dir():
         return FolderCamera(path, config)
     if not path.is_file():
         raise CameraError(
-            f"there is no camera {source!r}: expected a folder of images, a video file, /dev/videoN, or a URL such as"
-            " rtsp://HOST/PATH"
+            f"there is no camera {source!r}: expected a folder of images, a video file, {system.CAMERA}, or a URL such"
+            " as rtsp://HOST/PATH"
         )
     return VideoCamera(source, config, live=False)
 
@@ -261,7 +263,10 @@ class VideoCamera:
         options = {"fflags": "nobuffer", "rtsp_transport": "tcp"} if self._source.startswith("rtsp") else {}
         options |= _OF_DECODERS  # which run already while the size of the frames is looked for
         timeout = (self._config.open_s, self._config.silence_s) if self._live else None
-        return av.open(self._source, format=self._container, options=options, timeout=timeout)
+        if self._container == "avfoundation":
+            options["framerate"] = "30"  # its own default is none that cameras have
+        name = self._source.removeprefix(f"{self._container}:")
+        return av.open(name, format=self._container, options=options, timeout=timeout)
 
 
 def upright(frame: av.VideoFrame) -> Image:

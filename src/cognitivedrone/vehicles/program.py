@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import subprocess
-import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Literal
 
+from cognitivedrone import system
 from cognitivedrone.files import create, open_regular
 
-_STARTER = "import ctypes, os, sys; ctypes.CDLL(None).prctl(1, 9); os.execvp(sys.argv[1], sys.argv[1:])"
-_DIES_WITH_US = (sys.executable, "-I", "-S", "-c", _STARTER) if sys.platform == "linux" else ()
-"""What starts a program that Linux kills when we end, however we end (PR_SET_PDEATHSIG): left alone, ArduCopter would
-wait for its next step of physics for ever, and keep its ports."""
 _END_S = 5.0
 
 
@@ -30,12 +25,12 @@ class Program:
         self.output = output
         with create(output) as file:
             self._process = subprocess.Popen(  # noqa: S603
-                [*_DIES_WITH_US, *command],
+                system.ending_with_us(command),
                 cwd=folder,
                 stdin=subprocess.DEVNULL,
                 stdout=file,
                 stderr=file,
-                start_new_session=True,
+                **system.own_session(),
             )
 
     @property
@@ -54,15 +49,14 @@ class Program:
         printed = self.printed()
         return f", its last line of output: {printed[-1]}" if printed else ""
 
-    def send(self, number: signal.Signals) -> None:
+    def send(self, what: Literal["TERM", "KILL", "STOP", "CONT"]) -> None:
         """Send a signal to the program and all that it started."""
-        with suppress(ProcessLookupError):
-            os.killpg(self._process.pid, number)
+        system.tell_session(self._process.pid, what)
 
     def close(self) -> None:
         """End it: ask, then kill what is left."""
-        self.send(signal.SIGTERM)
+        self.send("TERM")
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(_END_S)
-        self.send(signal.SIGKILL)
+        self.send("KILL")
         self._process.wait()

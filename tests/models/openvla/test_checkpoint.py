@@ -164,7 +164,7 @@ class TestLoading:
         error = (near - exact).norm() / exact.norm()
         assert 0 < error < 0.05
 
-    @pytest.mark.skipif(not torch.cuda.is_available(), reason="torchao packs 4 bits for GPUs only")
+    @pytest.mark.card  # torchao packs 4 bits for GPUs only
     def test_torchao_packs_four_bits_on_a_gpu(self):
         pytest.importorskip("torchao")
         exact = torch.nn.Sequential(torch.nn.Linear(256, 256, bias=False)).to("cuda", torch.bfloat16)

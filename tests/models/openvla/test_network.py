@@ -1,6 +1,7 @@
 """The network and its decoders, on random weights: what must hold whatever they are."""
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,10 +9,14 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("transformers")
 
+from torch._dynamo.utils import counters  # noqa: E402
+
+from cognitivedrone.models.openvla.compiled import compile_blocks, uncompile  # noqa: E402
 from cognitivedrone.models.openvla.config import PATCHES, Config, tiny_config  # noqa: E402
-from cognitivedrone.models.openvla.decode import Autoregressive, Parallel, chunk_actions, greedy_tokens  # noqa: E402
+from cognitivedrone.models.openvla.decode import Autoregressive, Parallel, Runner, chunk_actions, greedy_tokens  # noqa: E402
 from cognitivedrone.models.openvla.network import IGNORED  # noqa: E402
-from cognitivedrone.models.openvla.weights import empty_network, random_network  # noqa: E402
+from cognitivedrone.models.openvla.prepare import ImagePreparation  # noqa: E402
+from cognitivedrone.models.openvla.weights import empty_network, quantise, random_network  # noqa: E402
 
 IDS = [1, 512, 29_901, 1724, 3158, 881, 278, 29_871]
 
@@ -175,3 +180,59 @@ def test_steps_downhill_learn_words_and_chunks():
         losses.append((loss.item(), distance.item()))
     assert losses[-1][0] < losses[0][0] - 0.3
     assert losses[-1][1] < 0.8 * losses[0][1]
+
+
+class TestCompiledBlocks:
+    """By the eager backend, which runs what was traced: what is compiled, not by what."""
+
+    @pytest.fixture(autouse=True)
+    def nothing_is_compiled_yet(self):
+        torch.compiler.reset()
+        yield
+        torch.compiler.reset()
+
+    @staticmethod
+    def deep(layers):
+        config = tiny_config()
+        towers = [replace(tower, depth=layers + 1) for tower in (config.dino, config.siglip)]
+        language = replace(config.language, num_hidden_layers=layers)
+        return random_network(replace(config, dino=towers[0], siglip=towers[1], language=language)).eval()
+
+    def test_blocks_share_their_code_however_many_there_are(self):
+        graphs = []
+        for layers in (2, 5):
+            torch.compiler.reset()
+            counters.clear()
+            made = self.deep(layers)
+            decode, pixels = Autoregressive(made), some_pixels(1)[0]
+            wanted = decode.tokens(pixels, IDS).tolist()
+            compile_blocks(made, "eager")
+            assert decode.tokens(pixels, IDS).tolist() == wanted
+            graphs.append(counters["stats"]["unique_graphs"])
+            uncompile(made)
+            assert decode.tokens(pixels, IDS).tolist() == wanted
+            assert counters["stats"]["unique_graphs"] == graphs[-1]
+        assert graphs == [4, 4]  # a block of each tower, a layer for the prompt, a layer for a word
+
+    def test_int8(self):
+        pytest.importorskip("torchao")
+        made = self.deep(2)
+        quantise(made.language_model.model.layers, "int8", "cpu")
+        decode, pixels = Autoregressive(made), some_pixels(1)[0]
+        wanted = decode.tokens(pixels, IDS).tolist()
+        compile_blocks(made, "eager")
+        assert decode.tokens(pixels, IDS).tolist() == wanted
+
+
+def test_squares_are_prepared_beside_the_network_to_the_same_bits(network):
+    frame = np.random.default_rng(3).integers(0, 256, (256, 256, 3), dtype=np.uint8)
+    preparation = ImagePreparation(means=((0.1, 0.2, 0.3), (0.4, 0.5, 0.6)))
+    seen = []
+
+    def look(pixels, *_):
+        seen.append(pixels)
+        return pixels
+
+    runner = Runner(look, network, preparation)
+    runner(preparation.square(frame)[None], [IDS])
+    assert np.array_equal(seen[0][0].numpy(), preparation.pixel_values(frame))

@@ -10,11 +10,14 @@ from rich.console import Group, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
-from cognitivedrone.errors import PolicyError
+from cognitivedrone.errors import PolicyError, RenderError
 from cognitivedrone.policies import POLICIES
+from cognitivedrone.printable import visible
 from cognitivedrone.reasoners import NONE, REASONERS
 from cognitivedrone.registry import load, usage
+from cognitivedrone.sim import renderers
 from cognitivedrone.sim.airframe import AIRFRAMES
+from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.tasks import ABOUT, FAMILIES, SUITES, load_suite
 from cognitivedrone.world import places
 
@@ -46,7 +49,16 @@ def catalogue() -> RenderableType:
             "Places (--place)", (_entry(name, about, ", ".join(places.names(name))) for name, about in shown.items())
         )
     )
-    return Group(*sections, f"Airframes (--airframe): {', '.join(AIRFRAMES)}")
+    return Group(*sections, f"Airframes (--airframe): {', '.join(AIRFRAMES)}", "", _renderer())
+
+
+def _renderer() -> str:
+    """What draws here, and why."""
+    try:
+        name = renderer_name()
+        return visible(f"Renderer ({renderers.CHOICE}=cpu|gpu): {name} ({renderers.why(name)})")
+    except RenderError as error:
+        return f"Renderer: none. {error}"
 
 
 def _section(title: str, entries: Iterable[RenderableType]) -> RenderableType:

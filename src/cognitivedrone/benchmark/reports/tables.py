@@ -17,6 +17,7 @@ from cognitivedrone.benchmark.scores.published import PUBLISHED, comparable
 from cognitivedrone.benchmark.scores.results import Results
 from cognitivedrone.benchmark.scores.scoring import Interval, Score, Summary, chance_of
 from cognitivedrone.benchmark.scores.suspicions import suspicions
+from cognitivedrone.control.async_reasoner import UNAIDED
 from cognitivedrone.plan import Rule
 from cognitivedrone.reasoners import NONE
 from cognitivedrone.terminal import console
@@ -117,7 +118,13 @@ def _reasoning(summary: Summary, families: Mapping[str, Score]) -> Iterator[Rend
         figures.insert(1, f"{thought.mean_rate_hz:.1f} a second")
     if thought.mean_age_s is not None:
         figures.insert(2, f"{1e3 * thought.mean_age_s:.0f} ms old when followed")
+    if thought.late:
+        figures.append(f"late: {thought.late}")
     yield Text(", ".join(figures))
+    if thought.late_in_a_row >= UNAIDED:
+        yield Text(
+            f"the policy flew without its reasoner: {thought.late_in_a_row} answers in a row were late", style="bold"
+        )
     yield ""
 
 
@@ -150,6 +157,12 @@ def sweep_table(points: Sequence[tuple[float, Results]], part: str) -> Renderabl
     return table
 
 
+FRAMES_DIFFER = (
+    "frames of other renderers and processors differ in the last digits (docs/faq.md), so a few flights end otherwise: "
+    "compare how many"
+)
+
+
 def comparison_table(comparison: Comparison) -> RenderableType:
     """Rates side by side and their difference, then the two-by-two tables, and the verdict."""
     title = f"{comparison.suite}\nA: {comparison.name_a}\nB: {comparison.name_b}"
@@ -166,6 +179,8 @@ def comparison_table(comparison: Comparison) -> RenderableType:
     if comparison.left_out:
         notes.append(f"left out, invalid in either run: {comparison.left_out}")
     notes += [f"the runs also differ in {difference}" for difference in comparison.other_differences]
+    if comparison.frames_differ:
+        notes.append(FRAMES_DIFFER)
     verdict = Text(comparison.verdict, style="bold")
     return Group(rates, "", counts, "", *(Text(note, style="dim") for note in notes), verdict)
 

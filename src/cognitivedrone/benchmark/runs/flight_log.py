@@ -11,6 +11,7 @@ from typing import get_args
 import numpy as np
 
 from cognitivedrone.benchmark.scores.run_types import Trace
+from cognitivedrone.control.async_reasoner import ANSWER_S
 from cognitivedrone.envs.track_runner import TrackRunner
 from cognitivedrone.errors import ReasonerFault
 from cognitivedrone.film.frame import FilmFrame
@@ -38,6 +39,7 @@ class _Stage:
     directive: str | None = None
     answers: int = 0
     adopted: int = 0
+    late: int = 0
     faults: Counter[str] = field(default_factory=Counter)
     ages_s: list[float] = field(default_factory=list)
 
@@ -78,6 +80,8 @@ class FlightLog:
         elif event.kind in ("adopted", "agreed", "kept"):
             self._stages[-1].answers += 1
             self._stages[-1].adopted += event.kind == "adopted"
+        if event.age_s is not None and (event.kind in FAULTS or event.kind in ("adopted", "agreed", "kept")):
+            self._stages[-1].late += event.age_s > ANSWER_S
 
     def results(self) -> tuple[StageResult, ...]:
         """The stages' results, each with its reasoner report."""
@@ -114,4 +118,5 @@ def _report(stage: _Stage, seconds: float, gates: Sequence[Gate], target: int | 
         color=color,
         shape=shape,
         gate=declines(directive) if target is None else fitting_gate(directive, gates) == target,
+        late=stage.late,
     )

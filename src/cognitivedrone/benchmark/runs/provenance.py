@@ -8,10 +8,9 @@ import platform
 import shlex
 import sysconfig
 from collections.abc import Mapping
-from functools import lru_cache
 from pathlib import Path
 
-from cognitivedrone import checkout
+from cognitivedrone import checkout, system
 from cognitivedrone.interrupts import is_ctrl_c
 from cognitivedrone.policies import POLICIES
 from cognitivedrone.reasoners import REASONERS
@@ -26,9 +25,9 @@ def platform_facts(command: str, policy: str = "", reasoner: str = "") -> dict[s
     facts = {
         "command": command,
         "commit": checkout.commit() or "none",
-        "system": platform.system(),
+        "system": system.name(),
         "machine": platform.machine(),
-        "processor": _processor(),
+        "processor": system.processor(),
         "cores": str(os.cpu_count() or 1),
     }
     roots: list[str] = []
@@ -75,14 +74,3 @@ def _shown(path: Path) -> str:
     """The path, relative to the current folder if it is inside it."""
     here = Path.cwd().resolve()
     return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
-
-
-@lru_cache(maxsize=1)
-def _processor() -> str:
-    """The processor's name; Linux has it only in /proc."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
-        lines = []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or "unknown"

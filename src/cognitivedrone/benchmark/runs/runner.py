@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 import shlex
 import statistics
@@ -40,6 +39,7 @@ from cognitivedrone.printable import shown_address
 from cognitivedrone.progress import progress_bar
 from cognitivedrone.rollout.pool import InProcess, Pool, ProcessPool, WorkerCrash
 from cognitivedrone.rollout.ray_pool import RayPool
+from cognitivedrone.system import cores
 from cognitivedrone.terminal import console
 from cognitivedrone.types import EpisodeResult, Track
 from cognitivedrone.vehicles.external import LinkReport
@@ -143,13 +143,7 @@ def _pool_of(flights: Flights, most: int, pilot: Pilot | None) -> Pool[Wanted, R
         return InProcess(flights)
     if plan.executor == "ray":
         return RayPool(flights, plan.workers, most, cpus=plan.cpus_per_worker, gpus=plan.gpus_per_worker)
-    return ProcessPool(flights, min(plan.workers or _cores(), most))
-
-
-def _cores() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return ProcessPool(flights, min(plan.workers or cores(), most))
 
 
 def _fly_missing(

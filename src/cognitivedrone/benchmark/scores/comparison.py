@@ -22,6 +22,8 @@ from cognitivedrone.plan import Rule
 from cognitivedrone.types import ALL_CATEGORIES, Category, StageResult
 
 SIGNIFICANT: Final = 0.05
+MACHINE: Final = {"system": "system", "machine": "architecture"}
+"""What of a machine changes the last digits, by the keys of `platform` in results.json."""
 """A difference less probable than this by chance is called significant."""
 
 
@@ -53,6 +55,11 @@ class Comparison:
     """Stages that are invalid in either run."""
     other_differences: tuple[str, ...]
     """Options and versions in which the runs differ, besides the pilot."""
+
+    @property
+    def frames_differ(self) -> bool:
+        """Whether the drones saw slightly different frames of the same scene: of other renderers or processors."""
+        return any(line.partition(":")[0] in ("renderer", *MACHINE.values()) for line in self.other_differences)
 
     @property
     def verdict(self) -> str:
@@ -140,6 +147,7 @@ def _other_differences(a: Results, b: Results) -> tuple[str, ...]:
         {name: run.run.option(name) for name in ("appearance", "airframe", "labels", "link", "wind_m_s", "latency")}
         | dict(run.run.versions)
         | {"renderer": run.renderer}
+        | {shown: run.platform.get(key, "unknown") for key, shown in MACHINE.items()}
         for run in (a, b)
     )
     return tuple(f"{key}: {of_a[key]} and {of_b.get(key)}" for key in of_a if of_a[key] != of_b.get(key))

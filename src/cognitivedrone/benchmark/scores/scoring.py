@@ -64,6 +64,10 @@ class ReasonerScore:
     mean_age_s: float | None
     """Mean age of the directives' frames while the policy followed them."""
     mean_rate_hz: float | None
+    late: int = field(default=0, metadata={"json": "where set"})
+    """Answers and faults that came after the next question was due."""
+    late_in_a_row: int = field(default=0, metadata={"json": "where set"})
+    """The most of them in a row, over successive stages in which no other came."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,7 +228,18 @@ def _reasoner_score(reports: Sequence[ReasonerReport]) -> ReasonerScore | None:
         changes=sum(report.changes for report in reports),
         mean_age_s=_mean([report.age_s for report in reports if report.age_s is not None]),
         mean_rate_hz=_mean([report.rate_hz for report in reports if report.rate_hz is not None]),
+        late=sum(report.late for report in reports),
+        late_in_a_row=_longest_row(reports),
     )
+
+
+def _longest_row(reports: Sequence[ReasonerReport]) -> int:
+    """Late answers in successive stages without one in time, at their most."""
+    longest = row = 0
+    for report in reports:
+        row = row + report.late if report.late == report.answers + sum(report.faults.values()) else 0
+        longest = max(longest, row)
+    return longest
 
 
 def summarize(episodes: Sequence[EpisodeResult], rule: Rule = "through") -> Summary:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from cognitivedrone.errors import ModelError
+from cognitivedrone.errors import ModelError, import_extra
 from cognitivedrone.files import open_regular, read_regular
 from cognitivedrone.json_text import parse_json
 from cognitivedrone.models.openvla.actions import ActionStatistics, choose_statistics
@@ -139,13 +139,7 @@ def check_reading(whole: int, free: int, quantisation: Quantisation) -> None:
 
 def free_memory() -> int:
     """Bytes of the host's memory available to a new process."""
-    try:
-        for line in Path("/proc/meminfo").read_text().splitlines():
-            if line.startswith("MemAvailable:"):
-                return int(line.split()[1]) * 1024
-    except OSError:  # not Linux
-        pass
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return int(import_extra("psutil", "openvla").virtual_memory().available)
 
 
 def read_header(path: Path) -> dict[str, Any]:

@@ -4,21 +4,25 @@ There are two: autoregressive, with a static cache of keys and values, as the pu
 numbers of a chunk in parallel. Each is one function of tensors with fixed shapes and without host synchronisation, so
 a GPU can capture it once as a CUDA graph and replay it. To keep the shapes fixed, prompts are padded on the right to
 a few lengths; neither the padding nor the position of the patches changes an answer. On a GPU, steps run in their
-own high-priority stream, ahead of a reasoner that runs on the same GPU in another thread.
+own high-priority stream, ahead of a reasoner that runs on the same GPU in another thread. Images may come as squares
+of uint8 (224, 224, 3), which are shifted and scaled where the network runs, to the same numbers.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol, TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from cognitivedrone.models.openvla.actions import from_tokens
-from cognitivedrone.models.openvla.config import ACTION_SIZE, PADDING, PATCHES, LanguageSize
+from cognitivedrone.models.openvla.config import ACTION_SIZE, PADDING, PATCHES
+from cognitivedrone.models.openvla.memory import Graph, KeyValues
 from cognitivedrone.models.openvla.network import OpenVlaNetwork
+from cognitivedrone.models.openvla.prepare import ImagePreparation
 from cognitivedrone.types import FloatArray
 
 LENGTHS = (32, 64, 128, 256, 512, 1024)
@@ -28,36 +32,38 @@ FIRST = -1
 
 Step: TypeAlias = Callable[[Tensor, Tensor, Tensor], Tensor]
 """`pixel_values` (B, 6, 224, 224), padded `input_ids` (B, T), their true numbers (B,) to answers, one per row."""
+Images: TypeAlias = FloatArray | NDArray[np.uint8]
+"""`pixel_values` (..., 6, 224, 224), or squares (..., 224, 224, 3) uint8."""
 
 
 class Decoder(Protocol):
     """Interface of the decoders."""
 
-    def __call__(self, pixel_values: FloatArray, input_ids: Sequence[int]) -> FloatArray:
-        """From an image (6, 224, 224) and a prompt's ids to actions (k, 4), k >= 1, normalised to [-1, 1]."""
+    def __call__(self, pixel_values: Images, input_ids: Sequence[int]) -> FloatArray:
+        """From an image and a prompt's ids to actions (k, 4), k >= 1, normalised to [-1, 1]."""
         ...
 
-    def together(self, pixel_values: FloatArray, input_ids: Sequence[Sequence[int]]) -> FloatArray:
-        """The same for several images (B, 6, 224, 224) and prompts in one pass: (B, k, 4), but for rounding."""
+    def together(self, pixel_values: Images, input_ids: Sequence[Sequence[int]]) -> FloatArray:
+        """The same for several images and prompts in one pass: (B, k, 4), but for rounding."""
         ...
 
 
 class Autoregressive:
     """One action, token by token, by greedy decoding."""
 
-    def __init__(self, network: OpenVlaNetwork, *, compiled: bool = False) -> None:
-        self._runner = Runner(lambda *inputs: greedy_tokens(network, *inputs), network, compiled=compiled)
+    def __init__(self, network: OpenVlaNetwork, preparation: ImagePreparation | None = None) -> None:
+        self._runner = Runner(lambda *inputs: greedy_tokens(network, *inputs), network, preparation)
 
-    def __call__(self, pixel_values: FloatArray, input_ids: Sequence[int]) -> FloatArray:
+    def __call__(self, pixel_values: Images, input_ids: Sequence[int]) -> FloatArray:
         """See `Decoder`."""
         return from_tokens(self.tokens(pixel_values, input_ids))[None]
 
-    def tokens(self, pixel_values: FloatArray, input_ids: Sequence[int]) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    def tokens(self, pixel_values: Images, input_ids: Sequence[int]) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
         """Ids (4,) of the generated tokens."""
         answer: np.ndarray[tuple[int], np.dtype[np.int64]] = self._runner(pixel_values[None], [input_ids])[0].numpy()
         return answer
 
-    def together(self, pixel_values: FloatArray, input_ids: Sequence[Sequence[int]]) -> FloatArray:
+    def together(self, pixel_values: Images, input_ids: Sequence[Sequence[int]]) -> FloatArray:
         """See `Decoder`."""
         rows = self._runner(pixel_values, input_ids).numpy()
         return np.stack([from_tokens(row)[None] for row in rows])
@@ -66,17 +72,17 @@ class Autoregressive:
 class Parallel:
     """A chunk of actions in one pass, by the network's action head; raises `ValueError` for a network without one."""
 
-    def __init__(self, network: OpenVlaNetwork, *, compiled: bool = False) -> None:
+    def __init__(self, network: OpenVlaNetwork, preparation: ImagePreparation | None = None) -> None:
         if network.action_head is None:
             raise ValueError("this network has no action head")
-        self._runner = Runner(lambda *inputs: chunk_actions(network, *inputs), network, compiled=compiled)
+        self._runner = Runner(lambda *inputs: chunk_actions(network, *inputs), network, preparation)
 
-    def __call__(self, pixel_values: FloatArray, input_ids: Sequence[int]) -> FloatArray:
+    def __call__(self, pixel_values: Images, input_ids: Sequence[int]) -> FloatArray:
         """See `Decoder`."""
         answer: FloatArray = self.together(pixel_values[None], [input_ids])[0]
         return answer
 
-    def together(self, pixel_values: FloatArray, input_ids: Sequence[Sequence[int]]) -> FloatArray:
+    def together(self, pixel_values: Images, input_ids: Sequence[Sequence[int]]) -> FloatArray:
         """See `Decoder`."""
         answer: FloatArray = self._runner(pixel_values, input_ids).float().clamp(-1.0, 1.0).numpy()
         return answer
@@ -110,56 +116,31 @@ def chunk_actions(network: OpenVlaNetwork, pixel_values: Tensor, input_ids: Tens
     return network.chunk_actions(input_ids, pixel_values, known.long())
 
 
-class KeyValues:
-    """Keys and values of every layer of some texts, at fixed addresses; of the type and device of `like`."""
-
-    def __init__(self, size: LanguageSize, like: Tensor, places: int, rows: int = 1) -> None:
-        shape = (
-            size.num_hidden_layers,
-            rows,
-            size.num_key_value_heads,
-            places,
-            size.hidden_size // size.num_attention_heads,
-        )
-        # Zeros, because masked values are still multiplied by their weight of zero.
-        self._keys, self._values = like.new_zeros(shape), like.new_zeros(shape)
-        self.place: Tensor | None = None
-        """Position of each text's next token, (B,); None for the initial ones, which go to the beginning."""
-
-    def update(self, keys: Tensor, values: Tensor, layer: int, *_: Any, **__: Any) -> tuple[Tensor, Tensor]:
-        """Store a layer's keys and values (B, heads, tokens, width); returns those to attend to.
-
-        What else versions of transformers say, each in its way, is for their own caches.
-        """
-        if self.place is None:
-            count = keys.shape[2]
-            self._keys[layer, :, :, :count], self._values[layer, :, :, :count] = keys, values
-            return keys, values
-        places = self.place[:, None, None, None].expand_as(keys)
-        self._keys[layer].scatter_(2, places, keys)
-        self._values[layer].scatter_(2, places, values)
-        return self._keys[layer], self._values[layer]
-
-
 class Runner:
     """Runs a `Step` on the network's device: on a GPU as a CUDA graph, captured once per prompt length and batch."""
 
-    def __init__(self, step: Step, network: OpenVlaNetwork, *, compiled: bool = False) -> None:
+    def __init__(self, step: Step, network: OpenVlaNetwork, preparation: ImagePreparation | None = None) -> None:
         self._weight = network.projector.fc1.bias
         self._longest = (
             network.config.language.max_position_embeddings - PATCHES - ACTION_SIZE * (network.config.chunk or 1)
         )
-        self._step: Step = torch.compile(step, dynamic=False, fullgraph=True) if compiled else step
-        self._graphs: dict[tuple[int, int], Graph] = {}
-        """By prompt length and number of rows."""
+        self._network_step = step
+        preparation = preparation or ImagePreparation()
+        means, deviations = np.array([preparation.means, preparation.deviations], np.float32).reshape(2, 6, 1, 1)
+        self._means = torch.from_numpy(means).to(self._weight.device)
+        self._deviations = torch.from_numpy(deviations).to(self._weight.device)
+        # A tensor: PyTorch divides by a number by multiplying with its inverse on a GPU, which rounds otherwise.
+        self._brightest = torch.full_like(self._means, 255.0)
+        self._graphs: dict[tuple[int, int, torch.dtype], Graph] = {}
+        """By prompt length, number of rows, and what images come as."""
         self._stream: torch.cuda.Stream | None = None
         if self._weight.device.type == "cuda":
             self._stream = torch.cuda.Stream(self._weight.device, priority=FIRST)  # type: ignore[no-untyped-call]
 
-    def __call__(self, pixel_values: FloatArray, input_ids: Sequence[Sequence[int]]) -> Tensor:
+    def __call__(self, pixel_values: Images, input_ids: Sequence[Sequence[int]]) -> Tensor:
         """The step's answers, on the host; raises `ValueError` for a prompt that is too long.
 
-        `pixel_values` (B, 6, 224, 224) are images, `input_ids` a prompt for each.
+        `pixel_values` are images, `input_ids` a prompt for each.
         """
         longest = max(len(ids) for ids in input_ids)
         if longest > self._longest:
@@ -172,8 +153,15 @@ class Runner:
         )
         with torch.inference_mode():
             if self._stream is None:
-                return self._step(inputs[0].to(self._weight.dtype), *inputs[1:])
+                return self.step(*inputs)
             return self._replay(inputs, padded, self._stream)
+
+    def step(self, images: Tensor, ids: Tensor, count: Tensor) -> Tensor:
+        """From images (B, 6, 224, 224), or squares (B, 224, 224, 3) uint8, to answers."""
+        if images.dtype == torch.uint8:
+            pixels = images.permute(0, 3, 1, 2).float().repeat(1, 2, 1, 1) / self._brightest
+            images = (pixels - self._means) / self._deviations
+        return self._network_step(images.to(self._weight.dtype), ids, count)
 
     def _replay(self, inputs: tuple[Tensor, Tensor, Tensor], padded: int, stream: torch.cuda.Stream) -> Tensor:
         rows = len(inputs[0])
@@ -181,40 +169,15 @@ class Runner:
         if full > rows:
             inputs = tuple(torch.cat([value, value[:1].expand(full - rows, *value.shape[1:])]) for value in inputs)  # type: ignore[assignment]
         pixels, ids, count = inputs
-        key = padded, full
+        key = padded, full, pixels.dtype
         if key not in self._graphs:  # the weights may still be in transfer, in the loader's stream
             stream.wait_stream(torch.cuda.current_stream(self._weight.device))
         with torch.cuda.stream(stream):
             there = (
-                pixels.to(self._weight.device, self._weight.dtype),
+                pixels.to(self._weight.device, pixels.dtype if pixels.dtype == torch.uint8 else self._weight.dtype),
                 ids.to(self._weight.device),
                 count.to(self._weight.device),
             )
             if key not in self._graphs:
-                self._graphs[key] = Graph(self._step, there)
+                self._graphs[key] = Graph(self.step, there)
             return self._graphs[key](*there).cpu()[:rows]
-
-
-class Graph:
-    """A function of tensors, captured as a CUDA graph: a replay costs the host one launch for all its kernels.
-
-    It is captured in the current stream, which must not be the default one, and has its priority. Other threads may use
-    the GPU meanwhile.
-    """
-
-    def __init__(self, step: Callable[..., Tensor], inputs: Sequence[Tensor]) -> None:
-        self._inputs = tuple(value.clone() for value in inputs)
-        # Libraries pick their kernels and allocate workspaces in the first runs, which must not be captured.
-        for _ in range(2):
-            step(*self._inputs)
-        self._graph = torch.cuda.CUDAGraph()
-        stream = torch.cuda.current_stream()
-        with torch.cuda.graph(self._graph, stream=stream, capture_error_mode="thread_local"):
-            self._answer = step(*self._inputs)
-
-    def __call__(self, *inputs: Tensor) -> Tensor:
-        """The function's answer, ready in the current stream's order; the next call overwrites it."""
-        for kept, value in zip(self._inputs, inputs, strict=True):
-            kept.copy_(value)
-        self._graph.replay()
-        return self._answer

@@ -101,17 +101,17 @@ class OpenVlaNetwork(nn.Module):
         """Llama's layers and its last norm: (B, S, width) to the same.
 
         `mask` (B, 1, S or 1, keys) bool selects what is attended to; without one, attention is causal. `positions`
-        (B, S) int64 default to 0 to S - 1. `memory` stores keys and values: its `update(keys, values, layer)`
-        returns those to attend to.
+        (B, S) int64 default to 0 to S - 1. `memory` stores keys and values: its `layer(number)` is the memory of a
+        layer, whose `update(keys, values)` returns those to attend to.
         """
         llama = self.language_model.model
         if positions is None:
             positions = torch.arange(embedded.shape[1], device=embedded.device)[None]
         rotation = llama.rotary_emb(embedded, position_ids=positions)
-        for layer in llama.layers:
+        for number, layer in enumerate(llama.layers):
             run = partial(layer, position_embeddings=rotation)
             # By place: the name of the last one differs between versions of transformers.
-            inputs = (embedded, mask, None, memory)
+            inputs = (embedded, mask, None, None if memory is None else memory.layer(number))
             if self.checkpointing and self.training and torch.is_grad_enabled():
                 embedded = checkpoint(run, *inputs, use_reentrant=False)
             else:

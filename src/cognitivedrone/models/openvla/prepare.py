@@ -39,10 +39,13 @@ class ImagePreparation:
     """DINOv2's (from ImageNet), SigLIP's."""
     deviations: tuple[Three, Three] = ((0.229, 0.224, 0.225), (0.5, 0.5, 0.5))
 
+    def square(self, image: Image) -> Image:
+        """An image (H, W, 3) as (224, 224, 3) uint8: bicubic to a square whatever its aspect ratio."""
+        return np.array(Picture.fromarray(image).resize((IMAGE, IMAGE), Picture.Resampling.BICUBIC))
+
     def pixel_values(self, image: Image) -> NDArray[np.float32]:
-        """An image (H, W, 3) as (6, 224, 224): bicubic to a square whatever its aspect ratio, once per tower."""
-        small = Picture.fromarray(image).resize((IMAGE, IMAGE), Picture.Resampling.BICUBIC)
-        pixels = np.asarray(small, dtype=np.float32).transpose(2, 0, 1) / np.float32(255)
+        """An image (H, W, 3) as (6, 224, 224): its square, shifted and scaled once per tower."""
+        pixels = self.square(image).astype(np.float32).transpose(2, 0, 1) / np.float32(255)
         towers = [
             (pixels - np.array(mean, np.float32)[:, None, None]) / np.array(deviation, np.float32)[:, None, None]
             for mean, deviation in zip(self.means, self.deviations, strict=True)

@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 import math
 import time
+import warnings
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
@@ -45,7 +46,7 @@ from cognitivedrone.training.openvla.adapters import (
     take_adapters,
     take_moments,
 )
-from cognitivedrone.training.openvla.base import check_merging, fingerprint, read_base, recomputes
+from cognitivedrone.training.openvla.base import USUAL_MICRO_BATCH, check_merging, fingerprint, fitted, read_base
 from cognitivedrone.training.openvla.data import (
     ANSWER,
     Flights,
@@ -125,13 +126,13 @@ def fine_tune(config: FineTuning, report: Callable[[str], None] = print) -> Path
         raise TrainingError(f"a batch of {recipe.batch} cannot be shared by {accelerator.num_processes} processes")
     step = 0 if found is None else step_of(found[1], config.recipe.steps)
     if step < recipe.steps:
-        recompute = _recomputes(config, accelerator)
+        recipe = _fitted(config, accelerator)
         if accelerator.is_main_process:
             out.mkdir(parents=True, exist_ok=True)
             remove_left_over(out)
             remove(out, MERGED)  # of an earlier checkpoint
             replace_file(out / "recipe.json", f"{json.dumps(config.identity, indent=2)}\n".encode())
-        _train(config, accelerator, found, report, recompute=recompute)
+        _train(config, recipe, accelerator, found, report)
     merges = accelerator.is_main_process and (step < recipe.steps or not (out / MERGED).is_dir())
     accelerator.end_training()  # no process has to wait for the merging
     if merges:
@@ -198,27 +199,27 @@ def _accelerator(config: FineTuning) -> Accelerator:
     return accelerator
 
 
-def _recomputes(config: FineTuning, accelerator: Accelerator) -> bool:
-    """See `recomputes`; all processes give the same answer, that of the one with the least memory."""
+def _fitted(config: FineTuning, accelerator: Accelerator) -> LoraRecipe:
+    """See `fitted`; all processes give the same answer, that of the one with the least memory."""
     device, processes = accelerator.device, accelerator.num_processes
     free = torch.cuda.mem_get_info(device)[0] if device.type == "cuda" else checkpoints.free_memory()
     least = int(accelerator.gather(torch.tensor([free], device=device)).min())
-    return recomputes(config.checkpoint, config.recipe, processes, least, device.type, sharded=config.shard)
+    return fitted(config.checkpoint, config.recipe, processes, least, device.type, sharded=config.shard)
 
 
 def _train(
     config: FineTuning,
+    recipe: LoraRecipe,
     accelerator: Accelerator,
     found: Found | None,
     report: Callable[[str], None],
-    *,
-    recompute: bool,
 ) -> None:
-    recipe, base = config.recipe, config.checkpoint
+    """Train by a recipe that fits the machine."""
+    base = config.checkpoint
     host = accelerator.device.type == "cpu"  # in several processes it is called cpu:0, to which no file can be loaded
     dtype = torch.float32 if host and base.stored_bytes == 4 else torch.bfloat16
     bare = load(base, "cpu" if host else accelerator.device, dtype)
-    bare.enable_checkpointing(recompute)
+    bare.enable_checkpointing(bool(recipe.checkpointing))
     trained = add_adapters(bare, recipe, config.seed)
     step = 0
     if found is not None:
@@ -236,12 +237,14 @@ def _train(
     shown = Progress(disable=not accelerator.is_main_process, refresh_per_second=1)
     with ThreadPoolExecutor(1) as pool, shown as progress:
         bar = progress.add_task(recipe.name, total=recipe.steps, completed=step)
-        coming = pool.submit(_samples_of_step, config, make, accelerator, step)
+        size = recipe.micro_batch or USUAL_MICRO_BATCH
+        coming = pool.submit(_samples_of_step, config, recipe, make, accelerator, step)
         while step < recipe.steps:
             samples = coming.result()
             if step + 1 < recipe.steps:
-                coming = pool.submit(_samples_of_step, config, make, accelerator, step + 1)
-            manager.follow(*_step(network, optimizer, accelerator, samples, step))
+                coming = pool.submit(_samples_of_step, config, recipe, make, accelerator, step + 1)
+            measures, size = _step_in_memory(network, optimizer, accelerator, samples, step, size)
+            manager.follow(*measures)
             step += 1
             progress.update(bar, completed=step)
             if step % recipe.save_every == 0 or step == recipe.steps:
@@ -251,13 +254,45 @@ def _train(
                 manager.end_round(row, state_of(optimizer, list(trained)), step)
 
 
-def _samples_of_step(config: FineTuning, make: SampleMaker, accelerator: Accelerator, step: int) -> list[Samples]:
+def _samples_of_step(
+    config: FineTuning, recipe: LoraRecipe, make: SampleMaker, accelerator: Accelerator, step: int
+) -> list[Samples]:
     """This process's share of a step's samples, in micro-batches."""
-    recipe, rank, processes = config.recipe, accelerator.process_index, accelerator.num_processes
+    rank, processes = accelerator.process_index, accelerator.num_processes
     rows = rows_of_step(config.flights.train, recipe.batch, config.seed, step)[rank::processes]
     plain = plain_of_step(recipe.batch, recipe.directives, config.seed, step)[rank::processes]
-    size = recipe.micro_batch
+    size = recipe.micro_batch or USUAL_MICRO_BATCH
     return [make(rows[first : first + size], plain[first : first + size]) for first in range(0, len(rows), size)]
+
+
+def _step_in_memory(
+    network: nn.Module, optimizer: Any, accelerator: Accelerator, micro_batches: list[Samples], step: int, size: int
+) -> tuple[tuple[Tensor, Tensor], int]:
+    """One step with at most `size` samples at once, or fewer where the memory is full; returns it as `_step`, and both.
+
+    Another program may have taken memory since the training began. In several processes, which must take equal steps,
+    it raises `TrainingError`.
+    """
+    while True:
+        parts = [part for samples in micro_batches for part in _split(samples, size)]
+        try:
+            return _step(network, optimizer, accelerator, parts, step), size
+        except torch.OutOfMemoryError:
+            if size == 1 or accelerator.num_processes > 1:
+                raise TrainingError(
+                    f"step {step}: the memory is full with {size} samples at once; end what else uses it, and go on"
+                    " with --resume, perhaps with a smaller --micro-batch"
+                ) from None
+        size = max(size // 2, 1)
+        optimizer.zero_grad()
+        if accelerator.device.type == "cuda":
+            torch.cuda.empty_cache()
+        warnings.warn(f"step {step}: the memory is full; going on with {size} samples at once", stacklevel=2)
+
+
+def _split(samples: Samples, size: int) -> list[Samples]:
+    count = len(samples["input_ids"])
+    return [{name: value[first : first + size] for name, value in samples.items()} for first in range(0, count, size)]
 
 
 def _step(
@@ -293,8 +328,9 @@ def validate(network: nn.Module, accelerator: Accelerator, make: SampleMaker, re
     found = []
     network.eval()
     with torch.no_grad(), accelerator.autocast():
-        for first in range(0, len(own), recipe.micro_batch):
-            samples = make(own[first : first + recipe.micro_batch])
+        size = recipe.micro_batch or USUAL_MICRO_BATCH
+        for first in range(0, len(own), size):
+            samples = make(own[first : first + size])
             output = network(**_on(samples, accelerator.device))
             found.append(_answers(output.logits, output.targets))
     network.train()

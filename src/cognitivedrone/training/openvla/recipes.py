@@ -24,8 +24,9 @@ class LoraRecipe:
     """Steps of the optimiser."""
     batch: int = 64
     """Samples per step, over all processes."""
-    micro_batch: int = 8
-    """Maximum number of samples at once on each GPU; their gradients are accumulated."""
+    micro_batch: int | None = None
+    """Maximum number of samples at once on each GPU; their gradients are accumulated. None: as many as are fastest in
+    the memory that is free."""
     learning_rate: float = 5e-4
     weight_decay: float = 0.01
     rank: int = 32
@@ -42,10 +43,10 @@ class LoraRecipe:
     validation_frames: int = 512
     checkpointing: bool | None = None
     """Recompute each layer in the backward pass instead of keeping its activations: a third slower, in far less memory.
-    None: if the machine lacks the memory to keep them."""
+    None: where that is faster than fewer samples at once, or the memory to keep them is lacking."""
 
     def __post_init__(self) -> None:
-        if self.micro_batch < 1:
+        if self.micro_batch is not None and self.micro_batch < 1:
             raise TrainingError(f"a micro-batch of {self.micro_batch} samples cannot be trained; give at least 1")
 
     def facts(self) -> dict[str, Any]:

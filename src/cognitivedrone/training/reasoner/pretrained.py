@@ -30,7 +30,7 @@ def _folder() -> Path:
 
 def pretrained_pieces() -> tuple[str, ...]:
     """The word pieces of its vocabulary, by number. Raises `TrainingError` if it is not installed."""
-    vocabulary: dict[str, int] = parse_json((_folder() / "tokenizer.json").read_text())["model"]["vocab"]
+    vocabulary: dict[str, int] = parse_json((_folder() / "tokenizer.json").read_bytes())["model"]["vocab"]
     return tuple(sorted(vocabulary, key=vocabulary.__getitem__))
 
 

@@ -18,6 +18,7 @@ from typing import Final, Protocol
 from cognitivedrone.errors import GazeboError
 from cognitivedrone.json_text import parse_json
 from cognitivedrone.processes import environment
+from cognitivedrone.system import own_session
 
 _PROGRAM: Final = "cognitivedrone.vehicles.gazebo.caller"
 
@@ -49,7 +50,7 @@ class ServiceProcess:
             stdout=subprocess.PIPE,
             text=True,
             env=environment(),
-            start_new_session=True,  # ctrl-C is for us
+            **own_session(),  # ctrl-C is for us
         )
         self._one_at_a_time = threading.Lock()
 

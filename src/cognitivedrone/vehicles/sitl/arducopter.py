@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import os
-import signal
 import socket
 import time
 from collections.abc import Callable, Sequence
@@ -185,11 +184,11 @@ class ArduCopter:
 
     def pause(self) -> None:
         """Stop the process; `resume` lets it go on."""
-        self._program.send(signal.SIGSTOP)
+        self._program.send("STOP")
 
     def resume(self) -> None:
         """Let a stopped process go on."""
-        self._program.send(signal.SIGCONT)
+        self._program.send("CONT")
 
     def connect(self, make: Callable[[str], T]) -> T:
         """What `make(url)` makes, tried again while it raises `LinkError` and the process is still opening its port."""

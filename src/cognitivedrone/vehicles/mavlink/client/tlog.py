@@ -5,7 +5,6 @@ A tlog is the format that ground stations replay: 8 bytes of big-endian microsec
 
 from __future__ import annotations
 
-import socket
 import struct
 import subprocess
 import sys
@@ -14,6 +13,8 @@ from pathlib import Path
 
 from cognitivedrone.errors import LinkError
 from cognitivedrone.files import create
+from cognitivedrone.system import own_session
+from cognitivedrone.vehicles.mavlink.message_socket import MessageSocket, connected_pair
 
 WRITER = Path(__file__).with_name("tlog_writer.py")
 BUFFER = 1 << 20
@@ -28,7 +29,7 @@ class PacketLog:
     Without a socket nothing is kept, and nothing counted.
     """
 
-    def __init__(self, sink: socket.socket | None) -> None:
+    def __init__(self, sink: MessageSocket | None) -> None:
         self.dropped = 0
         self._sink = sink
 
@@ -37,7 +38,7 @@ class PacketLog:
         if self._sink is None:
             return
         try:
-            self._sink.send(struct.pack(">Q", time.time_ns() // 1000) + packet, socket.MSG_DONTWAIT)
+            self._sink.send(struct.pack(">Q", time.time_ns() // 1000) + packet)
         except OSError:
             self.dropped += 1
 
@@ -54,12 +55,11 @@ class TlogWriter:
             file = create(path)
         except OSError as error:
             raise LinkError(f"cannot write the log {path}: {error.strerror}") from None
-        source, self.sink = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self.sink.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
-        command = [sys.executable, "-I", "-S", str(WRITER)]
+        self.sink, source = connected_pair(BUFFER)
+        command = [sys.executable, "-I", "-S", str(WRITER), *(["framed"] if source.framed else [])]
         # A session of its own: what ends the program at the terminal does not end the log of the landing.
         self._process: subprocess.Popen[bytes] = subprocess.Popen(  # noqa: S603
-            command, stdin=source.fileno(), stdout=file, stderr=subprocess.PIPE, start_new_session=True
+            command, stdin=source.fileno(), stdout=file, stderr=subprocess.PIPE, **own_session()
         )
         source.close()
         file.close()

@@ -11,6 +11,7 @@ import socket
 import sys
 import threading
 from collections import deque
+from collections.abc import Iterator
 from contextlib import suppress
 
 MOST_BYTES = 64 << 20
@@ -20,7 +21,8 @@ MOST_BYTES = 64 << 20
 def main() -> None:
     """Write until the end, then report on standard error what was lost."""
     source, waiting = socket.socket(fileno=0), _Waiting()
-    threading.Thread(target=waiting.fill, args=(source,), daemon=True).start()
+    records = framed(source) if sys.argv[1:] == ["framed"] else iter(lambda: source.recv(1 << 16), b"")
+    threading.Thread(target=waiting.fill, args=(records,), daemon=True).start()
     position, trouble = 0, ""
     while (record := waiting.next()) is not None:
         try:
@@ -30,6 +32,13 @@ def main() -> None:
             trouble = error.strerror or str(error)
     if waiting.lost:
         sys.stderr.write(f"{waiting.lost} packets are not in the log: {trouble or 'the disk was too slow'}\n")
+
+
+def framed(source: socket.socket) -> Iterator[bytes]:
+    """The records of a stream, each of which has its length before it, as `MessageSocket` sends them."""
+    with source.makefile("rb") as stream:
+        while len(length := stream.read(4)) == 4:
+            yield stream.read(int.from_bytes(length, "big"))
 
 
 class _Waiting:
@@ -42,9 +51,9 @@ class _Waiting:
         self._changed = threading.Condition()
         self._over = False
 
-    def fill(self, source: socket.socket) -> None:
+    def fill(self, records: Iterator[bytes]) -> None:
         """Take what comes until the socket closes."""
-        while record := source.recv(1 << 16):
+        for record in records:
             with self._changed:
                 if self._bytes + len(record) > MOST_BYTES:
                     self.lost += 1

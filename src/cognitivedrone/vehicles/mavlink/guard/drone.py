@@ -13,13 +13,12 @@ from __future__ import annotations
 import json
 import math
 import os
-import socket
 import subprocess
 import sys
 import threading
 from collections import deque
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from time import monotonic, monotonic_ns, sleep
@@ -30,6 +29,7 @@ import numpy as np
 from cognitivedrone.control.safety import Decision, SafetyConfig
 from cognitivedrone.errors import LinkError, import_extra
 from cognitivedrone.processes import environment
+from cognitivedrone.system import inheriting, own_session
 from cognitivedrone.types import Action, FloatArray, Observation
 from cognitivedrone.vehicles.camera import Camera
 from cognitivedrone.vehicles.checklist import Checklist
@@ -38,6 +38,7 @@ from cognitivedrone.vehicles.mavlink.client.core import PAUSE_S, LandingMode
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig, Met
 from cognitivedrone.vehicles.mavlink.client.tlog import TlogWriter, leave
 from cognitivedrone.vehicles.mavlink.guard.messages import Kind, Reply, Snapshot, from_json, pack, to_json, unpack
+from cognitivedrone.vehicles.mavlink.message_socket import MessageSocket, connected_pair
 from cognitivedrone.vehicles.mavlink.telemetry import (
     LANDING_SILENT_S,
     TEXTS_KEPT,
@@ -96,11 +97,11 @@ class GuardedDrone:
             writer = None if self.config.tlog is None else TlogWriter(self.config.tlog)
             if writer is not None:
                 undo.callback(self._close_log, writer)
-            self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            self._socket, theirs = connected_pair()
             self._reader = threading.Thread(target=self._read, name="guard", daemon=True)
             self._reader.start()
             undo.callback(self._close_socket)
-            with theirs:
+            with closing(theirs):
                 self._process = _start(url, self._safety, self.config, theirs, writer)
             undo.callback(self._wait_for_the_guard)
             undo.callback(self._post, Kind.HANG_UP)
@@ -277,7 +278,7 @@ class GuardedDrone:
                 command=command,
             )
             try:
-                self._socket.send(message, socket.MSG_DONTWAIT)
+                self._socket.send(message)
             except BlockingIOError:
                 pass
             except OSError:
@@ -347,7 +348,7 @@ class GuardedDrone:
 
     def _close_socket(self) -> None:
         with suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)  # wakes the reader
+            self._socket.shutdown()  # wakes the reader
         self._reader.join()
         self._socket.close()
 
@@ -356,13 +357,13 @@ class GuardedDrone:
 
 
 def _start(
-    url: str, safety: SafetyConfig, config: MavlinkConfig, theirs: socket.socket, writer: TlogWriter | None
+    url: str, safety: SafetyConfig, config: MavlinkConfig, theirs: MessageSocket, writer: TlogWriter | None
 ) -> subprocess.Popen[bytes]:
     """Start the guard: a new program, since a copy of this one would have its threads and its locks."""
     log = -1 if writer is None else writer.sink.fileno()
     settings: dict[str, Any] = {
         "url": url, "safety": to_json(safety), "config": to_json(replace(config, tlog=None)),
-        "pilot": theirs.fileno(), "log": log, "process": os.getpid(),
+        "pilot": theirs.fileno(), "framed": theirs.framed, "log": log, "process": os.getpid(),
     }  # fmt: skip
     root = str(Path(__file__).parents[4])
     variables = {
@@ -373,8 +374,8 @@ def _start(
     return subprocess.Popen(  # noqa: S603
         [sys.executable, "-m", "cognitivedrone.vehicles.mavlink.guard", json.dumps(settings)],
         stdin=subprocess.DEVNULL,
-        pass_fds=[file for file in (theirs.fileno(), log) if file >= 0],
+        **inheriting([file for file in (theirs.fileno(), log) if file >= 0]),
         env=variables,
         # Its own session: ctrl-C and a terminal that goes away end the pilot process, which the guard notices.
-        start_new_session=True,
+        **own_session(),
     )

@@ -21,6 +21,7 @@ import numpy as np
 
 from cognitivedrone.control.safety import Guard, SafetyConfig
 from cognitivedrone.errors import CognitiveDroneError, LinkError
+from cognitivedrone.system import HANG_UP, steady_s
 from cognitivedrone.vehicles.checklist import Checklist
 from cognitivedrone.vehicles.mavlink.client.connection import WATCH_S
 from cognitivedrone.vehicles.mavlink.client.core import FlightCore
@@ -38,6 +39,7 @@ from cognitivedrone.vehicles.mavlink.guard.messages import (
     Snapshot,
     to_json,
 )
+from cognitivedrone.vehicles.mavlink.message_socket import MessageSocket
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, Text
 
 LOST_S = 0.5
@@ -52,16 +54,16 @@ GONE_S = 300.0
 """A vehicle without a heartbeat for so long is not waited for any more, once the pilot process is done."""
 LANDED, FAILED, LOST, LEFT = 0, 2, 3, 4
 """Exit codes: on the ground; could not begin; vehicle lost; dismissed while the vehicle was armed and not ours."""
-NAMES = {signal.SIGHUP: "the terminal has gone (SIGHUP)", signal.SIGTERM: "SIGTERM", signal.SIGINT: "SIGINT"}
+NAMES = {HANG_UP: "the terminal has gone (SIGHUP)", signal.SIGTERM: "SIGTERM", signal.SIGINT: "SIGINT"}
 
 
 class GuardProcess:
     """Raises `LinkError` where the link cannot be opened; `run` returns the exit code."""
 
     def __init__(
-        self, pilot: socket.socket, url: str, safety: SafetyConfig, config: MavlinkConfig, log: PacketLog, watched: int
+        self, pilot: MessageSocket, url: str, safety: SafetyConfig, config: MavlinkConfig, log: PacketLog, watched: int
     ) -> None:
-        self._pilot: socket.socket | None = pilot
+        self._pilot: MessageSocket | None = pilot
         self._url = url
         self._hold_s = safety.policy.hold_s
         self._config = config
@@ -82,7 +84,7 @@ class GuardProcess:
         self._stopped = False
         """By a message that could not be flown by, since the last one that could."""
         self._ignore_until = -np.inf
-        self._ran_at = _steady()
+        self._ran_at = steady_s()
         self._cut_at: float | None = None
         self._opened_at = -np.inf
         self._leaving = self._dismissed = False
@@ -139,7 +141,7 @@ class GuardProcess:
 
     def _look_at_the_time(self) -> None:
         """Notice that this process stood still: its state is old, and so is the last setpoint."""
-        now = _steady()
+        now = steady_s()
         lost, self._ran_at = now - self._ran_at, now
         if lost > LOST_S and self._core.phase in ("climbing", "flying"):
             self._land(f"the guard stood still for {lost:.1f} s")
@@ -149,11 +151,11 @@ class GuardProcess:
             self._wake.recv(4096)
         while self._signals:
             number = self._signals.popleft()
-            if self._core.phase == "released" and number != signal.SIGHUP:
+            if self._core.phase == "released" and number != HANG_UP:
                 self._dismissed = True
             elif self._core.phase == "ground":
                 self._leaving = True
-            self._land(NAMES[signal.Signals(number)])
+            self._land(NAMES[number])
 
     def _watch_pilot(self) -> None:
         if self._watched >= 0 and select.select([self._watched], [], [], 0)[0]:
@@ -270,13 +272,13 @@ class GuardProcess:
         self._texts = telemetry.texts
         try:
             while self._replies and self._pilot is not None:
-                self._pilot.send(self._replies[0], socket.MSG_DONTWAIT)
+                self._pilot.send(self._replies[0])
                 self._replies.popleft()
             fresh = self._inbox.sequence > self._sent_sequence or telemetry.received_at > self._last_received
             if self._pilot is not None and (fresh or now - self._sent_at >= WATCH_S):
                 self._sent_at, self._sent_sequence = now, self._inbox.sequence
                 self._last_received = telemetry.received_at
-                self._pilot.send(self._snapshot(telemetry).pack(), socket.MSG_DONTWAIT)
+                self._pilot.send(self._snapshot(telemetry).pack())
         except BlockingIOError:
             pass  # it does not read: there will be a newer one
         except OSError:
@@ -336,11 +338,6 @@ _FINAL_MESSAGES: dict[int, str] = {
     LOST: "the vehicle was lost",
     LEFT: "dismissed; the vehicle was not ours any more, and armed",
 }
-
-
-def _steady() -> float:
-    """Seconds that also go on while the machine sleeps."""
-    return time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 def _speak(words: str) -> None:
