@@ -98,9 +98,15 @@ def traces(folder: Path) -> str:
     if (folder / "secret.txt").read_text() != SECRET:
         return "a file outside the folder was overwritten"
     copies = [path for path in (folder / "work").rglob("*") if path.is_file() and not path.is_symlink()]
-    if any(SECRET.encode() in path.read_bytes() for path in copies):
+    if any(SECRET.encode() in beginning(path) for path in copies):
         return "a file outside the folder was copied"
     return ""
+
+
+def beginning(path: Path) -> bytes:
+    """As much of a file as may hold a copy of the secret: some attacks leave sparse files of terabytes."""
+    with path.open("rb") as file:
+        return file.read(1 << 20)
 
 
 @dataclass(frozen=True)

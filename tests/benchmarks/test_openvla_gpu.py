@@ -27,6 +27,7 @@ HOST = Machine("cpu", torch.float32, "no GPU here")
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 
+@pytest.mark.slow
 def test_every_path_runs_and_leaves_a_table(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(openvla_gpu, "find_machine", lambda: HOST)
     monkeypatch.setattr(lora, "STEPS", 3)

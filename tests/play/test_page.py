@@ -270,6 +270,7 @@ def flown(out, page=None):
     return summary, steps
 
 
+@pytest.mark.slow
 def test_a_page_and_a_browser_that_hangs_change_nothing_in_a_flight(tmp_path):
     alone, steps = flown(tmp_path / "alone")
     channels = Channels()
