@@ -226,6 +226,17 @@ def test_two_vehicles_on_the_ground_are_noticed_and_a_switch_that_is_tried_is_no
     assert "LOITER" in ear.beats.contradiction
 
 
+@pytest.mark.parametrize("counts", [True, False])
+@pytest.mark.parametrize("ahead", range(0, 256, 15))
+def test_two_vehicles_on_the_ground_are_noticed_wherever_their_sequence_numbers_are(ahead, counts):
+    ear, began = Ear(Flown()), 100.0
+    while not ear.beats.contradiction:
+        ear.hears("STABILIZE", armed=False, after=0.05)
+        own = ear.sequence
+        ear.hears("LOITER", armed=False, after=0.05, sequence=(own + ahead if counts else ahead) % 256)
+        assert ear.now - began < 6.0
+
+
 @pytest.mark.parametrize(
     ("reported", "stands"),
     [

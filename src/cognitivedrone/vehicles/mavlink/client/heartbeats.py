@@ -31,8 +31,9 @@ STALE_S = 1.0
 DOUBT_S, CHAINED_S = 1.0, 0.5
 """After a heartbeat that does not agree, so long no mode is ordered; unless one that follows the vehicle's messages has
 agreed within the shorter time, and none that does has not."""
-TURNS = 3
-"""Where every mode is right, so many returns to what was just left, in `STALE_S`, are two vehicles."""
+TURNS, TURNS_S = 3, 2.5
+"""Where every mode is right, so many returns to what was left, each and all within this time, are two vehicles. It is
+longer than `STALE_S`, since of two vehicles that both count on, one always seems to be overtaken until that is over."""
 _HALF = 128
 """Sequence numbers count to 255 and begin again: what is less than half of that ahead is newer."""
 
@@ -126,9 +127,9 @@ class Heartbeats:
 
 def heard(before: Heartbeats, shown: Shown, flown: Flown, now: float) -> Heartbeats:
     """What is known after one more heartbeat; whether that counts, `accepts` says."""
-    left = tuple(each for each in before.left if now - each[1] < STALE_S)
-    before = replace(before, left=left, turns=tuple(at for at in before.turns if now - at < STALE_S))
-    if _just_left(before, shown) and not _newer(before, shown, now):
+    left = tuple(each for each in before.left if now - each[1] < TURNS_S)
+    before = replace(before, left=left, turns=tuple(at for at in before.turns if now - at < TURNS_S))
+    if _just_left(before, shown, now) and not _newer(before, shown, now):
         return before
     if flown.agrees(shown):
         if not shown.chained and before.foreign(now):
@@ -140,7 +141,7 @@ def heard(before: Heartbeats, shown: Shown, flown: Flown, now: float) -> Heartbe
 def _agreed(before: Heartbeats, shown: Shown, now: float, *, any_mode: bool) -> Heartbeats:
     last, left, turns = before.last, before.left, before.turns
     if last is not None and not last.like(shown):
-        turns = (*turns, now)[-TURNS:] if _just_left(before, shown) else turns
+        turns = (*turns, now)[-TURNS:] if any(each.like(shown) for each, _ in left) else turns
         left = (*(each for each in left if not each[0].like(last) and not each[0].like(shown)), (last, now))
     after = replace(
         before,
@@ -158,7 +159,7 @@ def _agreed(before: Heartbeats, shown: Shown, now: float, *, any_mode: bool) -> 
     other = before.other
     if other is None and any_mode and len(turns) == TURNS:
         other = last
-    if other is None or (not any_mode and _just_left(before, other)):
+    if other is None or (not any_mode and _just_left(before, other, now)):
         return after
     words = f"heartbeats contradict each other ({other.words}, then {shown.words})"
     return replace(after, contradicted_at=now, contradiction=words)
@@ -184,8 +185,8 @@ def _doubted(before: Heartbeats, shown: Shown, grounded: Grounded, now: float) -
     return replace(after, believed=believed, contradicted_at=now, contradiction=words)
 
 
-def _just_left(beats: Heartbeats, shown: Shown) -> bool:
-    return any(each.like(shown) for each, _ in beats.left)
+def _just_left(beats: Heartbeats, shown: Shown, now: float) -> bool:
+    return any(each.like(shown) and now - at < STALE_S for each, at in beats.left)
 
 
 def _newer(beats: Heartbeats, shown: Shown, now: float) -> bool:
