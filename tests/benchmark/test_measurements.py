@@ -8,7 +8,14 @@ from pathlib import Path
 import pytest
 
 from cognitivedrone import checkout
-from cognitivedrone.benchmark.measurements import keep, markdown, measurement, read_measurement, write_measurement
+from cognitivedrone.benchmark.measurements import (
+    command_line,
+    keep,
+    markdown,
+    measurement,
+    read_measurement,
+    write_measurement,
+)
 from cognitivedrone.errors import RunError
 
 ROWS = ({"what": "a gate", "ms": 1.25}, {"what": "another", "ms": [1, 2], "late": None})
@@ -27,6 +34,19 @@ def test_what_is_kept_is_read_back_with_command_machine_and_day(tmp_path: Path, 
     assert len(made.date) == len("2026-01-01")
     assert "numpy" in made.versions
     assert '  {"what":"a gate","ms":1.25},\n' in path.read_text()  # a row in a line
+
+
+def test_the_command_names_no_folder_of_this_machine() -> None:
+    words = [
+        "benchmarks/x.py",
+        "--arducopter",
+        "/home/me/bin/arducopter",
+        "--log=/home/x",
+        "--out",
+        "/home/y",
+        "runs/a",
+    ]
+    assert command_line(words) == "python benchmarks/x.py --arducopter path/to/arducopter --log=path/to/x runs/a"
 
 
 def test_nothing_is_written_without_a_path(tmp_path: Path, monkeypatch) -> None:

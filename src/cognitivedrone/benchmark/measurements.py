@@ -93,14 +93,22 @@ def machine_of(facts: Mapping[str, str]) -> str:
 
 
 def command_line(words: Sequence[str]) -> str:
-    """A benchmark's command, of its script and arguments; without `--out FILE`, which changes no figure."""
+    """A benchmark's command, of its script and arguments; without `--out FILE`, which changes no figure.
+
+    Folders of this machine are left out: `/home/me/x` is written `path/to/x`.
+    """
     kept: list[str] = []
     skip = False
     for word in words:
         if not skip and word != "--out" and not word.startswith("--out="):
             kept.append(word)
         skip = word == "--out"
-    return shlex.join(["python", *map(shown_address, kept)])
+    return shlex.join(["python", *(shown_address(_elsewhere(word)) for word in kept)])
+
+
+def _elsewhere(word: str) -> str:
+    option, equals, value = word.partition("=") if word.startswith("-") else ("", "", word)
+    return f"{option}{equals}path/to/{Path(value).name}" if value and Path(value).is_absolute() else word
 
 
 def write_measurement(path: Path, made: Measurement) -> None:
