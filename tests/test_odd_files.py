@@ -13,7 +13,8 @@ from cognitivedrone.benchmark.runs.records import read_records
 from cognitivedrone.benchmark.scores.results import read_results
 from cognitivedrone.benchmark.submission_file import read_submission
 from cognitivedrone.control.latency import parse_delays
-from cognitivedrone.data.shards import ShardFile, read_json, sha256_of
+from cognitivedrone.data.disk import read_json, sha256_of
+from cognitivedrone.data.shards import ShardFile
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import CognitiveDroneError
 from cognitivedrone.models.onnx_file import check_model_file

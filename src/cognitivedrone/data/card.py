@@ -15,9 +15,9 @@ import numpy as np
 from PIL import Image
 
 from cognitivedrone.data import drawing
+from cognitivedrone.data.disk import write_text
 from cognitivedrone.data.episode import Episode, decode_image, encode_image
 from cognitivedrone.data.overview import ACTION_NAMES, FamilyCount, Histogram, megabytes, overview
-from cognitivedrone.data.shards import write_text
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError
 from cognitivedrone.pages import render_page

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from cognitivedrone.data.shards import read_text
+from cognitivedrone.data.disk import read_text
 from cognitivedrone.errors import DataError
 
 SUMS: Final = "SHA256SUMS"

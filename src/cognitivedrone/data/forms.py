@@ -1,29 +1,16 @@
-"""The forms of a store's JSON: what its manifest, its receipts and the footers of its shards must hold to be read."""
+"""The forms of a store's JSON: what its manifest and the footers of its shards must hold to be read."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from cognitivedrone.data.episode import Encoding
+from cognitivedrone.data.receipts import Receipt, check_receipt
 from cognitivedrone.errors import DataError
 from cognitivedrone.schema import check_form
-
-_SHARD: Final = re.compile(r"(?:shards|partial)/shard-[0-9]{5,9}\.parquet")
-_DIGEST: Final = re.compile(r"[0-9a-f]{64}")
-
-
-@dataclass(frozen=True, slots=True)
-class _Receipt:
-    file: str
-    sha256: str
-    bytes: int
-    episodes: tuple[int, ...]
-    lengths: tuple[int, ...]
-    dropped: Mapping[str, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +37,7 @@ class _Manifest:
     steps: int
     dropped: Mapping[str, int]
     splits: _Splits
-    shards: tuple[_Receipt, ...]
+    shards: tuple[Receipt, ...]
     policy: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -93,20 +80,6 @@ def check_manifest(manifest: Any, where: str) -> None:
     check_form(_Manifest, manifest, f"{where}: ", DataError)
     for receipt in manifest["shards"]:
         check_receipt(receipt, where)
-
-
-def check_receipt(receipt: Any, where: str) -> None:
-    """Raise `DataError` for a shard's receipt, or its entry in the manifest, that cannot be one."""
-    check_form(_Receipt, receipt, f"{where}: ", DataError)
-    if not _SHARD.fullmatch(receipt["file"]):
-        raise DataError(f"{where}: names the file {receipt['file']!r:.60}; shards are shards/shard-00000.parquet, ...")
-    if not _DIGEST.fullmatch(receipt["sha256"]):
-        raise DataError(f"{where}: the SHA-256 of {receipt['file']} must be 64 hexadecimal digits")
-    if len(receipt["episodes"]) != len(receipt["lengths"]):
-        episodes, lengths = len(receipt["episodes"]), len(receipt["lengths"])
-        raise DataError(f"{where}: {receipt['file']} lists {episodes} episodes and {lengths} lengths")
-    if receipt["bytes"] < 0 or min([*receipt["episodes"], 0]) < 0 or min([*receipt["lengths"], 1]) < 1:
-        raise DataError(f"{where}: {receipt['file']} has a size or an index below 0, or an episode without steps")
 
 
 def check_footer(footer: Any, where: Path) -> None:

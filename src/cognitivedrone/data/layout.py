@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from cognitivedrone.data.checksums import SUMS, read_sums
+from cognitivedrone.data.disk import read_json, sha256_of
 from cognitivedrone.data.forms import check_manifest
-from cognitivedrone.data.shards import ShardFile, json_text, read_json, sha256_of
-from cognitivedrone.data.statistics import Flown
 from cognitivedrone.errors import DataError
 
 FORMAT: Final = "cognitivedrone-store"
@@ -88,47 +85,9 @@ def is_sound(path: Path, manifest: Any) -> bool:
     return manifest.get("complete") is True
 
 
-def receipt_of(path: Path, name: str, digest: str) -> dict[str, Any]:
-    """The manifest's entry for the shard at `path`, which is called `name` there and has this hash.
-
-    Everything in it follows from the shard. Raises `DataError` for a file that is not a shard.
-    """
-    shard = ShardFile(path)
-    return {
-        "file": name,
-        "sha256": digest,
-        "bytes": path.stat().st_size,
-        "episodes": [facts["index"] for facts in shard.facts],
-        "lengths": [facts["length"] for facts in shard.facts],
-        "dropped": dict(sorted(shard.dropped.items())),
-    }
-
-
-def receipt_text(receipt: Mapping[str, Any], making: str) -> str:
-    """Content of the file beside a shard: its manifest entry, and the hash of the manifest head."""
-    return json_text({**receipt, "making": making})
-
-
-def receipt_name(shard: str) -> str:
-    """Name of a shard's receipt, relative to the store like the shard's own name."""
-    return shard.removesuffix(".parquet") + ".json"
-
-
 def shard_name(number: int, folder: str = SHARDS) -> str:
     """Name of shard `number`, relative to the store."""
     return f"{folder}/shard-{number:05d}.parquet"
-
-
-def flown_in(shards: Sequence[ShardFile]) -> list[Flown]:
-    """Actions, states and families of all episodes, in order of index."""
-    flown = []
-    for shard in shards:
-        columns = shard.numbers(["action", "velocity", "height", "yaw_rate"])
-        state = np.column_stack([columns["velocity"], columns["height"], columns["yaw_rate"]])
-        for facts, rows in shard.rows():
-            task = facts["task"]
-            flown.append(Flown(facts["index"], task["family"], task["category"], columns["action"][rows], state[rows]))
-    return sorted(flown, key=lambda episode: episode.index)
 
 
 def check_same_making(path: Path, manifest: Mapping[str, Any], head: Mapping[str, Any]) -> None:

@@ -7,9 +7,8 @@ episode (task, conditions, encoding, end) are JSON in the file's footer, in the 
 
 from __future__ import annotations
 
-import contextlib
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,26 +18,22 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from cognitivedrone import files
+from cognitivedrone.data.disk import MAX_SHARD_BYTES, MAX_TEXT_BYTES, clear_errors, write_atomically
 from cognitivedrone.data.episode import Conditions, Episode
 from cognitivedrone.data.forms import check_footer
 from cognitivedrone.data.pages import check_pages
+from cognitivedrone.data.statistics import Flown
 from cognitivedrone.errors import CognitiveDroneError, DataError
 from cognitivedrone.json_text import parse_json
-from cognitivedrone.system import sync_folder
 from cognitivedrone.tasks.format import task_from_json, task_to_json
 from cognitivedrone.types import Task
 
 FOOTER_KEY: Final = "cognitivedrone"
-MAX_TEXT_BYTES: Final = 256 * 2**20
-"""Of a store's JSON files and SHA256SUMS."""
-MAX_SHARD_BYTES: Final = 16 * 2**30
-"""Of a shard; 64 episodes have some 200 MB."""
 MIN_FRAME_BYTES: Final = 20
 """Of any encoded picture; one pixel as WebP has 30."""
 MAX_ROW_BYTES: Final = 128
 """Of a step in one column of numbers, with what Parquet adds."""
 _PAGE_BYTES: Final = 4096  # of headers, in a column of one row group
-SHARD_SUFFIX: Final = ".parquet"
 WIDTHS: Final[dict[str, tuple[str, int]]] = {
     "action": ("float32", 4),
     "sent": ("float32", 4),
@@ -67,77 +62,6 @@ COMPRESSION: Final = {"episode": "zstd", "step": "zstd", "image": "none"} | {
     name if width == 1 else f"{name}.list.element": "zstd" for name, (_, width) in WIDTHS.items()
 }
 """Compression by Parquet's column paths."""
-
-
-@contextlib.contextmanager
-def clear_errors(path: Path, doing: str) -> Iterator[None]:
-    """Turn errors of the operating system or Parquet into one `DataError` that names the file."""
-    try:
-        yield
-    except OSError as error:
-        raise DataError(f"{path}: cannot be {doing} ({error.strerror or error}); {_way_out(doing)}") from None
-    except (
-        pa.ArrowException,
-        ArithmeticError,
-        AttributeError,
-        LookupError,
-        TypeError,
-        ValueError,
-    ) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise DataError(f"{path}: cannot be {doing} ({reason}); {_way_out(doing)}") from None
-
-
-def _way_out(doing: str) -> str:
-    if doing == "written":
-        return "make room there or give another place"
-    return "run `cognitivedrone data verify` on the store"
-
-
-def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
-    """`write` fills a temporary file beside `path`, which replaces `path` once it is safe on disk.
-
-    In any case `path` is either unchanged or complete. Raises `DataError` with the file's name.
-    """
-    with clear_errors(path, "written"):
-        with files.replacing(path) as temporary:
-            write(temporary)
-        sync_folder(path.parent)  # the new name must also survive a power failure
-
-
-def json_text(content: object) -> str:
-    """JSON for people and diffs: indented, stable order, no NaN."""
-    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def write_json(path: Path, content: object) -> None:
-    """`json_text` as a file. Raises `DataError`."""
-    write_text(path, json_text(content))
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically. Raises `DataError`."""
-    write_atomically(path, lambda temporary: files.replace_file(temporary, text.encode()))
-
-
-def read_json(path: Path) -> Any:
-    """The content of a JSON file of the store; raises `DataError`."""
-    text = read_text(path)
-    with clear_errors(path, "read"):
-        return parse_json(text)
-
-
-def read_text(path: Path) -> str:
-    """The content of a text file of the store; raises `DataError`, also for what is too large or no regular file."""
-    with clear_errors(path, "read"):
-        return files.read_regular(path, MAX_TEXT_BYTES).decode()
-
-
-def sha256_of(path: Path) -> str:
-    """Hexadecimal content hash of a file of the store; raises `DataError`."""
-    limit = MAX_SHARD_BYTES if path.suffix == SHARD_SUFFIX else MAX_TEXT_BYTES
-    with clear_errors(path, "read"):
-        return files.digest_of_file(path, limit)
 
 
 def write_shard_file(path: Path, episodes: Sequence[Episode], dropped: Mapping[str, int]) -> None:
@@ -326,3 +250,15 @@ def _to_numpy(column: Any, name: str) -> NDArray[Any]:
     if width == 1:
         return np.array(whole.to_numpy(zero_copy_only=False))
     return np.array(whole.flatten().to_numpy(zero_copy_only=False)).reshape(-1, width)
+
+
+def flown_in(shards: Sequence[ShardFile]) -> list[Flown]:
+    """Actions, states and families of all episodes, in order of index."""
+    flown = []
+    for shard in shards:
+        columns = shard.numbers(["action", "velocity", "height", "yaw_rate"])
+        state = np.column_stack([columns["velocity"], columns["height"], columns["yaw_rate"]])
+        for facts, rows in shard.rows():
+            task = facts["task"]
+            flown.append(Flown(facts["index"], task["family"], task["category"], columns["action"][rows], state[rows]))
+    return sorted(flown, key=lambda episode: episode.index)

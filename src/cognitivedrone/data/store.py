@@ -28,9 +28,10 @@ from typing import Any, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from cognitivedrone.data.disk import read_json, sha256_of
 from cognitivedrone.data.episode import Episode, Split, decode_image
-from cognitivedrone.data.layout import MANIFEST, STATISTICS, check_sum, flown_in, read_manifest
-from cognitivedrone.data.shards import ShardFile, read_json, sha256_of
+from cognitivedrone.data.layout import MANIFEST, STATISTICS, check_sum, read_manifest
+from cognitivedrone.data.shards import ShardFile, flown_in
 from cognitivedrone.data.statistics import SPLITS
 from cognitivedrone.errors import DataError, did_you_mean
 from cognitivedrone.types import IMAGE_SIZE, Action, FloatArray, Image, Task

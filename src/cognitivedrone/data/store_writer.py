@@ -10,6 +10,16 @@ from pathlib import Path
 from typing import Any, Final
 
 from cognitivedrone.data.checksums import SUMS, sums_text
+from cognitivedrone.data.disk import (
+    clear_errors,
+    json_text,
+    read_json,
+    read_text,
+    sha256_of,
+    write_atomically,
+    write_json,
+    write_text,
+)
 from cognitivedrone.data.episode import Episode
 from cognitivedrone.data.layout import (
     FORMAT,
@@ -21,27 +31,13 @@ from cognitivedrone.data.layout import (
     TASKS,
     check_format,
     check_same_making,
-    flown_in,
     head_of,
     is_sound,
     making_of,
-    receipt_name,
-    receipt_of,
-    receipt_text,
     shard_name,
 )
-from cognitivedrone.data.shards import (
-    ShardFile,
-    clear_errors,
-    json_text,
-    read_json,
-    read_text,
-    sha256_of,
-    write_atomically,
-    write_json,
-    write_shard_file,
-    write_text,
-)
+from cognitivedrone.data.receipts import Receipt, making_recorded, receipt_name, receipt_text, states
+from cognitivedrone.data.shards import ShardFile, flown_in, write_shard_file
 from cognitivedrone.data.statistics import draw_splits, statistics
 from cognitivedrone.errors import DataError
 from cognitivedrone.files import check_no_link, is_left_over, remove, remove_left_over
@@ -87,7 +83,7 @@ class StoreWriter:
         } | ({"policy": dict(policy)} if policy else {})
         self._head = parse_json(json.dumps(head))  # as it is read back: tuples become lists
         self._making = making_of(self._head)
-        self._receipts: dict[int, dict[str, Any]] = {}
+        self._receipts: dict[int, Receipt] = {}
         """Receipts of the shards that were written, or found intact."""
         with clear_errors(self.path, "written"):
             self._start(resume)
@@ -152,7 +148,7 @@ class StoreWriter:
 
     def _makings_recorded(self) -> set[str]:
         """Hashes of the manifest heads in the receipts; "" for receipts without one."""
-        recorded = (_making_recorded(path) for path in (self.path / SHARDS).glob("shard-*.json"))
+        recorded = (making_recorded(path) for path in (self.path / SHARDS).glob("shard-*.json"))
         return {making for making in recorded if making is not None}
 
     def _clear_up(self) -> None:
@@ -175,24 +171,24 @@ class StoreWriter:
             self._receipts[number] = receipt
         return True
 
-    def _sound_receipt(self, shard: str) -> dict[str, Any] | None:
+    def _sound_receipt(self, shard: str) -> Receipt | None:
         """The receipt of a shard if both are intact; None otherwise."""
         path = self.path / receipt_name(shard)
         try:
-            recorded = read_text(path).encode()
+            recorded = read_text(path)
             size = (self.path / shard).stat().st_size
-            if not _states(recorded, "bytes", size):  # before it is hashed, however large it is
+            if not states(recorded, "bytes", size):  # before it is hashed, however large it is
                 return None
             digest = sha256_of(self.path / shard)
-            if not _states(recorded, "sha256", digest):
+            if not states(recorded, "sha256", digest):
                 return None
-            receipt = receipt_of(self.path / shard, shard, digest)
+            receipt = _receipt_of(self.path, shard, digest)
         except (DataError, OSError):
             return None
-        text = receipt_text(receipt, self._making)
-        if recorded == json_text(receipt).encode():  # of a release whose receipts lack the hash of the manifest head
+        text = receipt_text(receipt.facts(), self._making)
+        if recorded == json_text(receipt.facts()):  # of a release whose receipts lack the hash of the manifest head
             write_text(path, text)
-        elif recorded != text.encode():
+        elif recorded != text:
             return None
         return receipt
 
@@ -205,7 +201,7 @@ class StoreWriter:
         self._receipts[number] = self._write(shard_name(number), episodes, dropped)
         self._remove(shard_name(number, PARTIAL))
 
-    def _write(self, shard: str, episodes: Sequence[Episode], dropped: Mapping[str, int]) -> dict[str, Any]:
+    def _write(self, shard: str, episodes: Sequence[Episode], dropped: Mapping[str, int]) -> Receipt:
         ordered = sorted(episodes, key=lambda episode: episode.index)
         indices = Counter(episode.index for episode in ordered)
         if len(indices) < len(ordered):
@@ -216,8 +212,8 @@ class StoreWriter:
             path.parent.mkdir(exist_ok=True)
             remove(self.path, receipt_name(shard))
         write_shard_file(path, ordered, dropped)
-        content = receipt_of(path, shard, sha256_of(path))
-        write_text(receipt, receipt_text(content, self._making))
+        content = _receipt_of(self.path, shard, sha256_of(path))
+        write_text(receipt, receipt_text(content.facts(), self._making))
         return content
 
     def _remove(self, shard: str) -> None:
@@ -251,12 +247,12 @@ class StoreWriter:
         _check_once_each(self.path, receipts)
         with clear_errors(self.path, "written"):
             self._remove_strays(total)
-        shards = [ShardFile(self.path / receipt["file"]) for receipt in receipts]
+        shards = [ShardFile(self.path / receipt.file) for receipt in receipts]
         flown = flown_in(shards)
         splits = draw_splits(self._suite_digest, {episode.index: episode.family for episode in flown})
         facts = sorted(((fact, shard) for shard in shards for fact in shard.facts), key=lambda pair: pair[0]["index"])
         tasks = [shard.task(fact) for fact, shard in facts]
-        dropped = sum((Counter(receipt["dropped"]) for receipt in receipts), Counter[str]())
+        dropped = sum((Counter(receipt.dropped) for receipt in receipts), Counter[str]())
         write_json(self.path / STATISTICS, statistics(flown, splits["val"]))
         write_atomically(self.path / TASKS, lambda temporary: write_tasks(temporary, tasks))
         content = {
@@ -265,15 +261,15 @@ class StoreWriter:
             "steps": sum(len(episode.action) for episode in flown),
             "dropped": dict(sorted(dropped.items())),
             "splits": splits,
-            "shards": receipts,
+            "shards": [receipt.facts() for receipt in receipts],
         }
         write_json(self.path / MANIFEST, self._head | content)
         write_text(self.path / SUMS, sums_text(dict(self._hashes(receipts))))
 
-    def _hashes(self, receipts: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
+    def _hashes(self, receipts: Sequence[Receipt]) -> Iterator[tuple[str, str]]:
         for receipt in receipts:
-            yield receipt["file"], receipt["sha256"]
-        for name in (*(receipt_name(receipt["file"]) for receipt in receipts), MANIFEST, STATISTICS, TASKS):
+            yield receipt.file, receipt.sha256
+        for name in (*(receipt_name(receipt.file) for receipt in receipts), MANIFEST, STATISTICS, TASKS):
             yield name, sha256_of(self.path / name)
 
     def _numbers_there(self) -> list[int]:
@@ -293,28 +289,18 @@ class StoreWriter:
                 remove(self.path, PARTIAL)
 
 
-def _states(receipt: bytes, key: str, value: object) -> bool:
-    """Whether a receipt says this of its file, without opening any other file."""
-    try:
-        content = parse_json(receipt)
-    except ValueError:
-        return False
-    return isinstance(content, dict) and content.get(key) == value
+def _receipt_of(root: Path, name: str, digest: str) -> Receipt:
+    """The receipt of the shard of this name and hash. Raises `DataError` for a file that is not a shard."""
+    shard = ShardFile(root / name)
+    episodes, lengths = (tuple(facts[key] for facts in shard.facts) for key in ("index", "length"))
+    size = (root / name).stat().st_size
+    return Receipt(name, digest, size, episodes, lengths, dict(sorted(shard.dropped.items())))
 
 
-def _making_recorded(receipt: Path) -> str | None:
-    """The hash of the manifest head in a receipt: "" if it has none, None if it is unreadable."""
-    try:
-        content = read_json(receipt)
-    except DataError:
-        return None
-    return str(content.get("making", "")) if isinstance(content, dict) and "sha256" in content else None
-
-
-def _check_once_each(path: Path, receipts: Sequence[Mapping[str, Any]]) -> None:
+def _check_once_each(path: Path, receipts: Sequence[Receipt]) -> None:
     homes: dict[int, str] = {}
     for receipt in receipts:
-        for index in receipt["episodes"]:
+        for index in receipt.episodes:
             if index in homes:
-                raise DataError(f"{path}: episode {index} is in {homes[index]} and in {receipt['file']}")
-            homes[index] = receipt["file"]
+                raise DataError(f"{path}: episode {index} is in {homes[index]} and in {receipt.file}")
+            homes[index] = receipt.file

@@ -12,6 +12,7 @@ from typing import Any
 
 from cognitivedrone.data.checksums import SUMS, read_sums
 from cognitivedrone.data.content import faults_of
+from cognitivedrone.data.disk import MAX_TEXT_BYTES, json_text, read_json, read_text, sha256_of
 from cognitivedrone.data.forms import check_manifest
 from cognitivedrone.data.layout import (
     MANIFEST,
@@ -20,14 +21,12 @@ from cognitivedrone.data.layout import (
     STATISTICS,
     TASKS,
     check_format,
-    flown_in,
     head_of,
     making_of,
     read_manifest,
-    receipt_name,
-    receipt_text,
 )
-from cognitivedrone.data.shards import MAX_TEXT_BYTES, ShardFile, json_text, read_json, read_text, sha256_of
+from cognitivedrone.data.receipts import receipt_name, receipt_text
+from cognitivedrone.data.shards import ShardFile, flown_in
 from cognitivedrone.data.statistics import splits_again, statistics
 from cognitivedrone.errors import CognitiveDroneError, DataError
 from cognitivedrone.tasks.format import read_tasks

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
 
+from cognitivedrone.data.disk import read_json
 from cognitivedrone.data.layout import MANIFEST, read_manifest
-from cognitivedrone.data.shards import read_json
 from cognitivedrone.errors import HubError
 from cognitivedrone.models.picture_classifier import CLASSIFIER_FILE, PictureClassifier
 from cognitivedrone.models.reasoner_file import (
