@@ -18,24 +18,23 @@ from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.gate_selector import SelectorConfig
-from cognitivedrone.models.language import Language, LanguageConfig, TextEncoder
-from cognitivedrone.models.panel_reader import Reader, ReaderConfig
+from cognitivedrone.models.language import LanguageConfig, TextEncoder
+from cognitivedrone.models.panel_reader import ReaderConfig
 from cognitivedrone.models.scene_tokens import INPUTS, SceneTokenizer, number_text, stacked
 from cognitivedrone.models.text_encoder import FILE
 from cognitivedrone.training.language.problems import ALONE, NAMES, Mix, Problem, Problems
 from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.training.perception.calibration import calibration_crops, temperature_of
 from cognitivedrone.training.perception.readings import Readings, readings_of
-from cognitivedrone.training.small_vla.described import TextMix, described, text_loss
+from cognitivedrone.training.small_vla.described import TextMix, described
+from cognitivedrone.training.small_vla.language_network import LanguageLoss, LanguageNetwork
 from cognitivedrone.training.trainer.start import Start, read_start, restore_part
 from cognitivedrone.training.trainer.training_task import Batch, Batches, Given, Learner, Recipe, Row, to_tensors
 from cognitivedrone.types import COLORS, SHAPES, SIZES
 
 _VALIDATION = 10**6
 _POOL = 8  # batches that are drawn at once and sorted by length: padding costs as much as text
-_FROZEN_LAYERS = 2
 _LENGTH = 0.7  # of the vectors that attribute values begin with
 
 
@@ -88,29 +87,6 @@ DEBUG_LANGUAGE = replace(
     validate_every=2,
 )
 """The whole path in seconds, for tests."""
-
-
-class LanguageNetwork(nn.Module):
-    """Text encoder and language; and the panel reader that they were trained for, which stays as it is."""
-
-    learning_rates: ClassVar[dict[str, float]] = {"encoder": 0.1}
-    """Of parts, as shares of the recipe's."""
-
-    def __init__(self, encoder: SelectorConfig, language: LanguageConfig, reader: ReaderConfig, names: Sequence[str]):
-        super().__init__()
-        self.encoder = TextEncoder(encoder)
-        self.language = Language(language, AttributeSchema(tuple(names)))
-        self.reader = Reader(reader, len(names)).requires_grad_(requires_grad=False)
-        for part in (self.encoder.words, self.encoder.places, self.encoder.embedded):
-            part.requires_grad_(requires_grad=False)
-        for layer in self.encoder.layers[:_FROZEN_LAYERS]:
-            layer.requires_grad_(requires_grad=False)
-
-    def train(self, mode: bool = True) -> LanguageNetwork:
-        """As for every module, but the reader keeps its statistics."""
-        super().train(mode)
-        self.reader.eval()
-        return self
 
 
 @dataclass(frozen=True)
@@ -252,26 +228,6 @@ class LanguageTraining:
 
     def _readings(self) -> Readings:
         return readings_of(self.reader, self.index)
-
-
-class LanguageLoss(nn.Module):
-    """Text encoder and language, with their loss."""
-
-    def __init__(self, network: LanguageNetwork, schema: AttributeSchema) -> None:
-        super().__init__()
-        self.network = network
-        self._schema = schema
-
-    def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
-        """The loss; and, detached, the same and the share of sentences that were understood."""
-        loss, logits = self.answers(batch)
-        right = (logits.argmax(-1) == batch["text_target"]).float().mean()
-        return loss, {"text": loss.detach(), "text accuracy": right.detach()}
-
-    def answers(self, batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """The loss, and logits (T, 4)."""
-        words = self.network.encoder(*(batch[name] for name in INPUTS))
-        return text_loss(self.network.language, self._schema, words, batch)
 
 
 def spoken(name: str) -> str:
