@@ -201,6 +201,7 @@ PATIENCE = 2.0
 that tests on every core may keep the pilot waiting for longer than the default allows."""
 
 
+@pytest.mark.slow  # the same flight as the next one, in this process and to its own end
 def test_on_a_vehicle_the_pilot_sees_by_itself_that_the_gate_is_passed(tmp_path, through):
     with served(SERVED) as vehicle:
         config = FlyPlan.of(
@@ -339,8 +340,15 @@ def flight(peer: Peer, url: str, out: Path, policy: str = "hover", **options: ob
     return process
 
 
-@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTERM])
-@pytest.mark.parametrize("climbing", [True, False])
+@pytest.mark.parametrize(
+    ("number", "climbing"),
+    [
+        (signal.SIGHUP, False),
+        (signal.SIGTERM, True),
+        pytest.param(signal.SIGHUP, True, marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, False, marks=pytest.mark.slow),
+    ],
+)
 def test_a_terminal_that_goes_away_and_a_request_to_terminate_land_and_leave_a_log(tmp_path, number, climbing):
     with playing(climbs=not climbing) as peer, camera() as url:
         process = flight(peer, url, tmp_path / "f")
@@ -360,7 +368,9 @@ def test_a_terminal_that_goes_away_and_a_request_to_terminate_land_and_leave_a_l
     assert reason == ("the terminal has gone" if number == signal.SIGHUP else "asked to terminate")
 
 
-@pytest.mark.parametrize("policy", ["app_fakes:Hangs", "stuck_pilots:InForeignCode"])
+@pytest.mark.parametrize(
+    "policy", [pytest.param("app_fakes:Hangs", marks=pytest.mark.slow), "stuck_pilots:InForeignCode"]
+)
 def test_a_second_ctrl_c_ends_the_command_once_the_drone_is_down(tmp_path, policy, monkeypatch):
     """Also where the policy is in foreign code: the rules of safety land, and then nothing is waited for."""
     monkeypatch.setenv(stuck_pilots.FILE, str(tmp_path / "stuck"))
