@@ -16,7 +16,7 @@ from typing import get_args
 import pytest
 import torch
 from PIL import Image
-from quick_trainings import TINY_READER, QuickPolicyTraining
+from quick_trainings import TINY_READER, QuickPolicyTraining, train_here
 
 from cognitivedrone.cli.training import last_success
 from cognitivedrone.errors import TrainingError
@@ -104,7 +104,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory, start: Given) -> Runs:
     at_kill = read_checkpoint(resumed / CHECKPOINT)[1]["step"], read_rows(resumed / METRICS)[-1]["step"]
     reports: list[str] = []
     train(TrainConfig(resumed, training_of(start), seed=3, resume=True), lambda _: None)
-    train(TrainConfig(whole, training_of(start), seed=3), reports.append)
+    train_here(whole, training_of(start), seed=3, report=reports.append)  # no process of its own makes its data
     return Runs(whole, resumed, at_kill, reports)
 
 
