@@ -103,6 +103,12 @@ def stamp_of(extras: list[str]) -> str:
 
 
 def installed(extras: list[str]) -> bool:
+    """Whether they are there, by themselves or as parts of `dev`."""
+    whole = [["dev"], ["dev", "dev-torch"]] if set(extras) <= {"docs"} else []
+    return any(stamped(each) for each in (extras, *whole))
+
+
+def stamped(extras: list[str]) -> bool:
     stamp = VENV / ("installed-" + ("-".join(extras) or "base"))
     return stamp.exists() and stamp.read_text() == stamp_of(extras)
 
@@ -122,7 +128,9 @@ def install(extras: list[str]) -> None:
     target = f".[{','.join(extras)}]" if extras else "."
     # By variables, which reach what the package itself is built with, too: newer pips want the second for that.
     locked = {**os.environ, "PIP_CONSTRAINT": LOCK, "PIP_BUILD_CONSTRAINT": LOCK}
-    command = [str(PYTHON), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "-e", target]
+    # Python compiles a module when it is first imported; all of PyTorch's, of which few are, would take a minute.
+    options = ["--quiet", "--disable-pip-version-check", "--no-compile"]
+    command = [str(PYTHON), "-m", "pip", "install", *options, "-e", target]
     begun().touch()
     done = subprocess.run(command, cwd=ROOT, env=locked, check=False)
     begun().unlink()

@@ -130,6 +130,18 @@ def test_the_version_that_is_asked_about_is_the_one_of_the_extra(setup):
     assert setup.TORCH in message["project"]["optional-dependencies"]["dev-torch"]
 
 
+def test_what_dev_brought_along_is_not_installed_again(setup, ran, tmp_path):
+    setup.install(["docs"])
+    assert [command for command, _ in ran][-1][-1] == ".[docs]"
+    del ran[:]
+    (tmp_path / "installed-docs").unlink()
+    (tmp_path / "installed-dev-dev-torch").write_text(setup.stamp_of(["dev", "dev-torch"]))
+    setup.install(["docs"])
+    assert ran == []
+    setup.install(["ray"])
+    assert [command for command, _ in ran][-1][-1] == ".[ray]"
+
+
 @pytest.mark.parametrize("flag", ["--help", "-e"])
 def test_a_flag_shows_how_to_use_it_and_installs_nothing(setup, ran, monkeypatch, flag):
     monkeypatch.setattr(setup.sys, "argv", ["setup.py", flag])
