@@ -15,6 +15,7 @@ import torch
 from cognitivedrone.models.panel_reader import ReaderConfig
 from cognitivedrone.training.perception import calibration, panel_crops, readings
 from cognitivedrone.training.reasoner.reader import READER
+from cognitivedrone.training.reasoner.selector import DEBUG_SELECTOR
 from cognitivedrone.training.small_vla import export
 from cognitivedrone.training.small_vla.policy import PolicyTraining
 from cognitivedrone.training.trainer import trainer
@@ -31,6 +32,7 @@ TINY_READER = replace(
     validation_cards=32,
     network=ReaderConfig(crop_size=32, panel_encoder=(8, 8, 8, 8), embedding=16),
 )
+SMALL_SELECTOR = replace(DEBUG_SELECTOR, **SCHEDULE, batch=32, validation_tasks=100)
 
 
 def make_small(patch: pytest.MonkeyPatch) -> None:
