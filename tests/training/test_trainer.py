@@ -398,7 +398,7 @@ def test_whatever_may_learn_gets_a_gradient(
     """Processes that share a training wait for every gradient; one that never comes ends it."""
     recipe = ALL_RECIPES[name]
     if isinstance(recipe, TrainRecipe):
-        stream = replace(recipe.stream, batch=6, worlds=3, learner=0.0)
+        stream = replace(recipe.stream, batch=6, worlds=3, learner=0.0, sampled=0.5, pool=2)
         recipe = replace(recipe, stream=stream)
     if isinstance(recipe, SelectorRecipe):
         recipe = replace(recipe, pretrained=False, batch=4)
