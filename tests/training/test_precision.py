@@ -56,7 +56,7 @@ def no_accelerator() -> Iterator[None]:
 @pytest.mark.parametrize("casts", [True, False])
 def test_a_training_computes_in_what_suits_the_machine(tmp_path, monkeypatch, language_checkpoint, casts):
     monkeypatch.setattr(trainer, "trains_in_bf16", lambda: casts)
-    task = replace(RECIPES["debug"], steps=1).training(Given(start=language_checkpoint))
+    task = replace(RECIPES["debug"], steps=1, fly_every=0).training(Given(start=language_checkpoint))
     seen = set()
 
     def note(module, _, output):

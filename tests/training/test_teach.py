@@ -31,7 +31,7 @@ from cognitivedrone.training.trainer.checkpoint import read_checkpoint, restore
 from cognitivedrone.training.trainer.training_task import Given, to_tensors
 
 GATES = {str(i + 1): {"size": "big", "shape": "round", "color": c} for i, c in enumerate(("red", "green", "blue"))}
-TINY = replace(TEACH, **(SCHEDULE | {"fly_every": 10**6}), steps_for_each=0, batch=16, validation_problems=16)
+TINY = replace(TEACH, **SCHEDULE, steps_for_each=0, batch=16, validation_problems=16)
 
 pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
 

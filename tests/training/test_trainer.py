@@ -35,7 +35,7 @@ from cognitivedrone.training.trainer.trainer import TrainConfig, learning_rate, 
 from cognitivedrone.training.trainer.training_task import Given, Watched, to_tensors
 
 # Trials once, at the end: the rest of the time goes into processes that start.
-RECIPE = replace(RECIPES["debug"], fly_every=6, fly_tasks=2)
+RECIPE = replace(RECIPES["debug"], fly_every=6, fly_tasks=1)
 SUPPORT = Path(__file__).parents[1] / "support"
 
 KILLED = """
@@ -55,7 +55,7 @@ def report(line):
 
 if __name__ == "__main__":
     make_small(pytest.MonkeyPatch())
-    recipe = replace(RECIPES["debug"], fly_every=6, fly_tasks=2)
+    recipe = replace(RECIPES["debug"], fly_every=6, fly_tasks=1)
     task = QuickPolicyTraining.of(recipe.training(Given(start=Path(sys.argv[2]))))
     trainer.train(trainer.TrainConfig(Path(sys.argv[1]), task, seed=3), report)
 """
@@ -167,12 +167,12 @@ def test_every_round_is_reported(runs: Runs) -> None:
 
 
 def test_curves_are_a_picture_and_tensorboard_has_its_file(runs: Runs) -> None:
-    with Image.open(runs.whole / "curves.png") as picture:
+    with Image.open(runs.resumed / "curves.png") as picture:
         picture.load()
         assert picture.format == "PNG"
         assert min(picture.size) > 500
         assert len(picture.convert("RGB").getcolors(1 << 24)) > 10
-    assert list((runs.whole / "tensorboard").glob("events.*"))
+    assert list((runs.resumed / "tensorboard").glob("events.*"))
 
 
 def test_the_folder_tells_its_recipe(runs: Runs) -> None:
