@@ -172,6 +172,20 @@ def tiny_model_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tiny_model(tmp_path_factory.mktemp("models") / "tiny.onnx")
 
 
+@pytest.fixture(scope="session")
+def smoke_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a run of the whole smoke suite, all of it passed. For reading only."""
+    from made_once import made_once
+
+    from cognitivedrone.benchmark import Plan, run
+
+    def make(folder: Path) -> None:
+        plan = Plan.of(policy="oracle", suite="open-v1:smoke", workers=0, clips=0, out=folder / "smoke")
+        run(plan, progress=False)
+
+    return made_once(tmp_path_factory, "run", make) / "smoke"
+
+
 @pytest.fixture(scope="module")
 def one_thread() -> Iterator[None]:
     """PyTorch on one thread: faster for tiny networks, by far where the machine is busy; and sums have one order."""

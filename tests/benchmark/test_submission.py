@@ -57,12 +57,10 @@ class Moody:
 """
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture
+def folder(smoke_run: Path) -> Path:
     """A whole run of a shipped suite."""
-    out = tmp_path_factory.mktemp("run") / "smoke"
-    run(Plan.of(policy="oracle", suite="open-v1:smoke", workers=0, clips=0, out=out), progress=False)
-    return out
+    return smoke_run
 
 
 @pytest.fixture
