@@ -353,7 +353,7 @@ def test_ctrl_c_before_the_first_checkpoint_says_that_there_is_nothing_to_resume
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("cognitivedrone.training.trainer.trainer._CheckpointManager", Stopped)
         with pytest.raises(KeyboardInterrupt, match=r"stopped at step 0, before the first checkpoint; .*start again"):
-            train(TrainConfig(tmp_path / "run", training_of(start), seed=3))
+            train_here(tmp_path / "run", training_of(start), seed=3)
 
 
 def test_the_stream_tells_how_it_begins(tmp_path: Path, start: Given) -> None:
