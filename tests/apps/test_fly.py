@@ -412,6 +412,7 @@ def test_a_policy_that_hangs_does_not_keep_the_process_after_the_landing(tmp_pat
     assert pq.read_table(tmp_path / "f" / "steps.parquet").num_rows >= 3
 
 
+@pytest.mark.slow  # as the next one, until its time is over
 def test_arducopter_is_started_on_our_physics_and_flown(tmp_path):
     binary = played_arducopter(tmp_path)
     instance = free_instance()
@@ -440,6 +441,10 @@ def test_the_right_gate_ends_a_flight_of_arducopter_and_lands_it(tmp_path):
     summary = fly_mission(config, console=quiet(), keyboard=nobody())
     target = load_suite("open-v1:smoke").tracks[EPISODE][0].target
     assert (summary.ending.kind, summary.exit_code) == ("passed", 0)
+    assert (tmp_path / "f" / "arducopter.log").read_text() == "parameters read\n"
+    assert set(pq.read_table(tmp_path / "f" / "steps.parquet").to_pydict()["mode"]) == {"GUIDED"}
+    with av.open(str(tmp_path / "f" / "camera.mp4")) as film:
+        assert np.ptp(next(film.decode(video=0)).to_ndarray(format="rgb24")) > 100
     assert summary.ending.reason.startswith(f"through gate {target + 1}, after ")
     events = pq.read_table(tmp_path / "f" / "events.parquet").to_pylist()
     assert [event["kind"] for event in events][-2:] == ["over", "landed"]

@@ -146,7 +146,8 @@ def test_it_flies_from_take_off_to_landing(vehicle: Vehicle):
     assert vehicle.land() == (not vehicle.status().armed)
 
 
-@fast(("sim", "wall"), ("sitl", "wall"), ("gazebo", "lockstep"))  # in Gazebo: vehicles/gazebo/test_flight.py
+# In Gazebo: vehicles/gazebo/test_flight.py; on ArduCopter: benchmark/test_sitl_runs.py.
+@fast(("sim", "wall"), ("sitl", "wall"), ("sitl", "lockstep"), ("gazebo", "lockstep"))
 def test_where_the_truth_is_known_the_right_gate_counts(vehicle: Vehicle):
     runner = vehicle.track_runner
     if runner is None:
