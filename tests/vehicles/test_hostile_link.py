@@ -43,7 +43,8 @@ def test_a_vehicle_is_flown_whatever_kind_of_packet_it_sends(wire):
         assert (peer.part.mode, peer.part.armed) == (MODES["LAND"], False)
 
 
-def test_a_vehicle_that_takes_signed_packets_alone_is_said_to():
+def test_a_vehicle_that_takes_signed_packets_alone_is_said_to(monkeypatch):
+    monkeypatch.setattr("cognitivedrone.vehicles.mavlink.client.connection.ACK_S", 0.1)
     config = MavlinkConfig(takeoff_timeout_s=60)
     with playing(wire="signed only") as peer:
         with pytest.raises(LinkError, match=r"did not answer to .*; it signs its packets, and may ignore ours"):
