@@ -132,3 +132,19 @@ def reasoner_parts(tmp_path_factory: pytest.TempPathFactory, policy_file: Path) 
             shutil.copy(policy_file.parent / name, out)
 
     return made_once(tmp_path_factory, "reasoner", make) / "selector"
+
+
+@pytest.fixture(scope="session")
+def flights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set, large enough for two families to have a flight in both splits. For reading only."""
+    from collect_pools import flying, forwards
+
+    from cognitivedrone.collect import collector
+
+    def make(folder: Path) -> None:
+        plan = collector.CollectPlan.of(out=folder / "set", recipe="debug", episodes=24, episodes_per_shard=8)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(collector, "pool_of", flying(forwards))
+            collector.collect(plan, progress=False)
+
+    return made_once(tmp_path_factory, "flights", make) / "set"

@@ -26,13 +26,6 @@ SOURCE = SampleSource(None)
 pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
 
 
-@pytest.fixture(scope="module")
-def flights(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("recorded") / "flights"
-    collect(CollectPlan.of(out=folder, recipe="debug", episodes=24, workers=1, episodes_per_shard=8), progress=False)
-    return folder
-
-
 @pytest.fixture
 def recorded(flights: Path) -> Recorded:
     return Recorded(flights, STREAM, SOURCE)
