@@ -11,7 +11,7 @@
 # make test-card       what only an NVIDIA graphics card can show; all other tests hide it, so that they are the same everywhere
 #
 # Parts of release-check:
-# make test-slow       whole flights and trainings of more than 20 s, which make test leaves out
+# make test-slow       what takes more than 20 s, or shows what another test shows too; make test leaves it out
 # make test-smoke      runs/smoke.sh: every step of runs/reproduce.sh in tiny sizes (needs PyTorch: make test TORCH=1)
 # make test-wheel      the built wheel in a fresh environment of PYTHON=python3.13: smoke suite, fast tests
 # make test-sdist      the same from the source archive
@@ -35,7 +35,8 @@ check:
 
 tests:
 	@$(PYTHON) scripts/setup.py dev
-	$(RUN)/pytest -n 2 --dist worksteal --durations 400 --durations-min 1.5
+	@# Three on two cores: what flies by the wall clock mostly waits.
+	$(RUN)/pytest -n 3 --dist worksteal --durations 400 --durations-min 1.5
 
 test: check tests
 

@@ -103,6 +103,12 @@ def stamp_of(extras: list[str]) -> str:
 
 
 def installed(extras: list[str]) -> bool:
+    """Whether they are there, by themselves or as parts of `dev`."""
+    whole = [["dev"], ["dev", "dev-torch"]] if set(extras) <= {"docs"} else []
+    return any(stamped(each) for each in (extras, *whole))
+
+
+def stamped(extras: list[str]) -> bool:
     stamp = VENV / ("installed-" + ("-".join(extras) or "base"))
     return stamp.exists() and stamp.read_text() == stamp_of(extras)
 
@@ -122,12 +128,15 @@ def install(extras: list[str]) -> None:
     target = f".[{','.join(extras)}]" if extras else "."
     # By variables, which reach what the package itself is built with, too: newer pips want the second for that.
     locked = {**os.environ, "PIP_CONSTRAINT": LOCK, "PIP_BUILD_CONSTRAINT": LOCK}
-    command = [str(PYTHON), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "-e", target]
+    options = ["--quiet", "--disable-pip-version-check", "--no-compile"]  # which pip does on one core
+    command = [str(PYTHON), "-m", "pip", "install", *options, "-e", target]
     begun().touch()
     done = subprocess.run(command, cwd=ROOT, env=locked, check=False)
     begun().unlink()
     if done.returncode != 0:
         sys.exit("The installation failed; the lines above say why. It can be run again once that is mended.")
+    # Our own, too: where Python writes no bytecode, each of the hundreds of processes of the tests would compile it.
+    run(PYTHON, "-m", "compileall", "-qq", "-j", "0", VENV, ROOT / "src")
     (VENV / ("installed-" + ("-".join(extras) or "base"))).write_text(stamp_of(extras))
 
 

@@ -288,7 +288,7 @@ def test_view_says_in_words_who_is_right(capsys, tmp_path):
 def test_a_suite_may_still_be_a_file(capsys, tmp_path, own_tasks):
     for option in ("--tasks", "--suite"):
         out = tmp_path / option[2:]
-        main(["bench", option, str(own_tasks), "--policy", "hover", "--workers", "0", "--episodes", "1",
+        main(["bench", option, str(own_tasks), "--policy", "oracle", "--workers", "0", "--episodes", "1",
               "--clips", "0", "--out", str(out)])  # fmt: skip
         output = capsys.readouterr().out
         assert "tasks of mine.json" in output
@@ -309,7 +309,7 @@ def test_a_suite_without_an_end_says_how_much_of_it_is_flown(capsys, tmp_path):
     assert how_many(Scenario(suite="open-v1:train", tasks=tmp_path), None) == ""
     assert "its first 300 tasks of seed 0 are flown, --episodes N" in how_many(Scenario(suite="open-v1:train"), None)
     assert len(suite_of(Scenario(suite="open-v1:train")).tracks) == 300
-    main(["bench", "--suite", "open-v1:train", "--policy", "hover", "--episodes", "1", "--workers", "0",
+    main(["bench", "--suite", "open-v1:train", "--policy", "oracle", "--episodes", "1", "--workers", "0",
           "--clips", "0", "--out", str(tmp_path)])  # fmt: skip
     assert "its first 1 tasks of seed 0 are flown" in capsys.readouterr().out
 

@@ -38,9 +38,9 @@ def bench(out: Path, *arguments: object):
     return read_results(out / "results.json")
 
 
-def flown(out: Path, *arguments: object, **environment: str):
-    """In this process."""
-    typed(["bench", "--out", out, "--workers", 0, *arguments], out.parent, **environment)
+def flown(out: Path, *arguments: object, workers: int = 0, **environment: str):
+    """By the command, in this process."""
+    typed(["bench", "--out", out, "--workers", workers, *arguments], out.parent, **environment)
     return read_results(out / "results.json")
 
 
@@ -59,8 +59,8 @@ def test_the_whole_smoke_suite_with_the_gold_directive(tmp_path):
 
 def test_the_gold_directive_on_any_number_of_workers(tmp_path):
     for workers in (1, 2):
-        results = bench(tmp_path / str(workers), *GOLD, "--episodes", 5, "--workers", workers)
-        assert results.summary().overall.passed == 5
+        results = flown(tmp_path / str(workers), *GOLD, "--episodes", 3, workers=workers)
+        assert results.summary().overall.passed == 3
         assert (tmp_path / str(workers) / "report.html").stat().st_size > 100_000
     assert repeatable(tmp_path / "1") == repeatable(tmp_path / "2")
 
@@ -84,7 +84,7 @@ def test_single_tasks_can_be_chained_into_tracks(tmp_path):
     assert results.summary().overall.passed == 5
 
 
-def test_a_killed_run_goes_on_where_it_was(tmp_path):
+def test_a_killed_run_goes_on_where_it_was(tmp_path, capsys):
     task = ("--suite", "open-v1:smoke", "--policy", "oracle", "--episodes", 6, "--clips", 1)
     arguments = ("bench", *task, "--workers", 1, "--out", tmp_path / "run")
     with subprocess.Popen(command(*arguments), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
@@ -94,7 +94,7 @@ def test_a_killed_run_goes_on_where_it_was(tmp_path):
             time.sleep(0.01)
         process.send_signal(signal.SIGKILL)
     assert 2 <= records.read_bytes().count(b"\n") < 6
-    assert run(*arguments).returncode == 2
+    refused(capsys, *arguments)
     assert run(*arguments, "--resume").returncode == 0
     whole = flown(tmp_path / "whole", *task)
     assert repeatable(tmp_path / "run") == repeatable(tmp_path / "whole")
@@ -159,7 +159,7 @@ def test_list_names_what_there_is(tmp_path):
 
 
 def test_two_runs_are_compared(tmp_path):
-    arguments = ("--suite", "open-v1:smoke", "--policy", "colour_seeker", "--episodes", 4, "--clips", 0)
+    arguments = ("--suite", "open-v1:smoke", "--policy", "colour_seeker", "--episodes", 2, "--clips", 0)
     flown(tmp_path / "a", *arguments)
     flown(tmp_path / "b", *arguments, "--reasoner", "oracle")
     assert "McNemar" in typed(["compare", "a", "b"], tmp_path)

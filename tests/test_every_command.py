@@ -17,7 +17,7 @@ from cognitivedrone.cli import TARGETS
 BRIEF = [
     "--version",
     "nonsense",
-    "bench --suite open-v1:smoke --policy hover --workers 1 --episodes 1 --clips 0 --out a",
+    "bench --suite open-v1:smoke --policy oracle --workers 1 --episodes 1 --clips 0 --out a",
     "reason --suite open-v1:smoke --reasoner small --episodes 1 --out reason",
     "fly --link mavlink:udp:127.0.0.1:9 'Fly through the red gate'",
     "sim --mavlink --links tcpin:127.0.0.1:PORT",

@@ -16,7 +16,7 @@ import foreign
 SCRIPT = Path(__file__).parent / "support/foreign_script.py"
 COLLECT = "collect --recipe debug --episodes 1 --workers 1 --out set"
 EVERYWHERE = [
-    "bench --policy hover --episodes 2 --workers 2 --clips 0 --out bench",
+    "bench --policy oracle --episodes 2 --workers 2 --clips 0 --out bench",
     COLLECT,
     "view --out view.png",
     "fly --policy hover --reasoner none --episode 0 --time-limit 1 --out fly",

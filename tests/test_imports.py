@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 import warnings
+from collections.abc import Sequence
 
 import pytest
 
@@ -44,28 +46,45 @@ HEAVY = {
 }
 
 
-def loaded_by(*arguments: str) -> set[str]:
-    code = f"""
-import sys
+LOADED = """
+import json, os, sys
 from cognitivedrone.cli import main
-try:
-    main({list(arguments)!r})
-except SystemExit:
-    pass
-print('\\n'.join(sys.modules))
+for arguments in json.loads(sys.argv[1]):
+    if not (child := os.fork()):  # starting Python for each would take longer
+        try:
+            main(arguments)
+        except SystemExit:
+            pass
+        print("loaded:", json.dumps([arguments, [*sys.modules]]), flush=True)
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == 0, arguments
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    return set(done.stdout.split())
 
 
-@pytest.mark.parametrize("command", [[], ["--version"], ["data"], *(name.split() for name in TARGETS)], ids=" ".join)
-def test_help_loads_nothing_heavy(command):
-    arguments = command if command == ["--version"] else [*command, "--help"]
-    assert not loaded_by(*arguments) & HEAVY
+def loaded_by(*commands: Sequence[str]) -> dict[tuple[str, ...], set[str]]:
+    """The modules that each of the commands has loaded at its end."""
+    program = [sys.executable, "-c", LOADED, json.dumps(commands)]
+    done = subprocess.run(program, capture_output=True, text=True, check=True)
+    lines = [line.removeprefix("loaded: ") for line in done.stdout.splitlines() if line.startswith("loaded: ")]
+    return {tuple(arguments): set(loaded) for arguments, loaded in map(json.loads, lines)}
+
+
+COMMANDS = [("--version",), *((*words, "--help") for words in ((), ("data",), *(name.split() for name in TARGETS)))]
+
+
+@pytest.fixture(scope="module")
+def loaded() -> dict[tuple[str, ...], set[str]]:
+    return loaded_by(*COMMANDS)
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_help_loads_nothing_heavy(loaded, command):
+    assert "cognitivedrone.cli" in loaded[command]
+    assert not loaded[command] & HEAVY
 
 
 def test_a_command_loads_none_of_the_others():
-    loaded = loaded_by("bench", "--help")
+    (loaded,) = loaded_by(("bench", "--help")).values()
     assert "cognitivedrone.cli.scoring" in loaded
     assert not loaded & {"cognitivedrone.cli.data", "cognitivedrone.cli.flying", "cognitivedrone.cli.training"}
 

@@ -201,6 +201,7 @@ PATIENCE = 2.0
 that tests on every core may keep the pilot waiting for longer than the default allows."""
 
 
+@pytest.mark.slow  # the same flight as the next one, in this process and to its own end
 def test_on_a_vehicle_the_pilot_sees_by_itself_that_the_gate_is_passed(tmp_path, through):
     with served(SERVED) as vehicle:
         config = FlyPlan.of(
@@ -339,8 +340,15 @@ def flight(peer: Peer, url: str, out: Path, policy: str = "hover", **options: ob
     return process
 
 
-@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTERM])
-@pytest.mark.parametrize("climbing", [True, False])
+@pytest.mark.parametrize(
+    ("number", "climbing"),
+    [
+        (signal.SIGHUP, False),
+        (signal.SIGTERM, True),
+        pytest.param(signal.SIGHUP, True, marks=pytest.mark.slow),
+        pytest.param(signal.SIGTERM, False, marks=pytest.mark.slow),
+    ],
+)
 def test_a_terminal_that_goes_away_and_a_request_to_terminate_land_and_leave_a_log(tmp_path, number, climbing):
     with playing(climbs=not climbing) as peer, camera() as url:
         process = flight(peer, url, tmp_path / "f")
@@ -360,7 +368,9 @@ def test_a_terminal_that_goes_away_and_a_request_to_terminate_land_and_leave_a_l
     assert reason == ("the terminal has gone" if number == signal.SIGHUP else "asked to terminate")
 
 
-@pytest.mark.parametrize("policy", ["app_fakes:Hangs", "stuck_pilots:InForeignCode"])
+@pytest.mark.parametrize(
+    "policy", [pytest.param("app_fakes:Hangs", marks=pytest.mark.slow), "stuck_pilots:InForeignCode"]
+)
 def test_a_second_ctrl_c_ends_the_command_once_the_drone_is_down(tmp_path, policy, monkeypatch):
     """Also where the policy is in foreign code: the rules of safety land, and then nothing is waited for."""
     monkeypatch.setenv(stuck_pilots.FILE, str(tmp_path / "stuck"))
@@ -402,6 +412,7 @@ def test_a_policy_that_hangs_does_not_keep_the_process_after_the_landing(tmp_pat
     assert pq.read_table(tmp_path / "f" / "steps.parquet").num_rows >= 3
 
 
+@pytest.mark.slow  # as the next one, until its time is over
 def test_arducopter_is_started_on_our_physics_and_flown(tmp_path):
     binary = played_arducopter(tmp_path)
     instance = free_instance()
@@ -430,6 +441,10 @@ def test_the_right_gate_ends_a_flight_of_arducopter_and_lands_it(tmp_path):
     summary = fly_mission(config, console=quiet(), keyboard=nobody())
     target = load_suite("open-v1:smoke").tracks[EPISODE][0].target
     assert (summary.ending.kind, summary.exit_code) == ("passed", 0)
+    assert (tmp_path / "f" / "arducopter.log").read_text() == "parameters read\n"
+    assert set(pq.read_table(tmp_path / "f" / "steps.parquet").to_pydict()["mode"]) == {"GUIDED"}
+    with av.open(str(tmp_path / "f" / "camera.mp4")) as film:
+        assert np.ptp(next(film.decode(video=0)).to_ndarray(format="rgb24")) > 100
     assert summary.ending.reason.startswith(f"through gate {target + 1}, after ")
     events = pq.read_table(tmp_path / "f" / "events.parquet").to_pylist()
     assert [event["kind"] for event in events][-2:] == ["over", "landed"]

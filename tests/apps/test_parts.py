@@ -216,7 +216,7 @@ def test_the_frame_server_has_limits():
         port = int(frames.url.rstrip("/").rpartition(":")[2])
 
         def ask(path: str) -> tuple[http.client.HTTPConnection, int]:
-            connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
+            connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
             connection.request("GET", path)
             return connection, connection.getresponse().status
 

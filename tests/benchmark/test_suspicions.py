@@ -32,10 +32,10 @@ def test_an_answer_that_differs_between_flights_alone_is_named():
 
 
 def test_a_policy_that_flies_at_one_gate_whatever_it_reads_is_named():
-    (warning,) = output("user_pilots:Straight", suite="open-v1:test", episodes=16)
-    assert "of 16 flights went to gate 2, which " in warning
+    (warning,) = output("user_pilots:Straight", suite="open-v1:test", episodes=12)
+    assert "of 12 flights went to gate 2, which " in warning
     assert "seems not to follow the instruction" in warning
 
 
 def test_a_pilot_that_sees_and_reads_gets_no_warning():
-    assert output("oracle", suite="open-v1:test", episodes=16) == []
+    assert output("oracle", suite="open-v1:test", episodes=12) == []

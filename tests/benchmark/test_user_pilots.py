@@ -89,7 +89,7 @@ def test_mistakes_count_the_same_with_one_worker_and_with_two(tmp_path, how):
     assert (tmp_path / "1" / "report.html").exists()
 
 
-@pytest.mark.parametrize("how", MISTAKES[1:])
+@pytest.mark.parametrize("how", [*MISTAKES[1:-1], pytest.param(MISTAKES[-1], marks=pytest.mark.slow)])
 def test_mistakes_that_take_the_process_or_its_time_are_counted(tmp_path, how):
     evaluate(
         f"user_pilots:Faulty:{how}", episodes=2, workers=2, decision_timeout=3.0, out=tmp_path, clips=0, progress=False

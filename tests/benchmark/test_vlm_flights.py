@@ -143,7 +143,7 @@ def flown_mission(plan, out):
     script = planning(plan)
     with serving(script) as url:
         config = Plan.of(
-            policy="colour_seeker", reasoner=f"vlm:{url},model=eye-7b,timeout=5", suite="open-v3:missions",
+            policy="colour_seeker", reasoner=f"vlm:{url},model=eye-7b,timeout=60", suite="open-v3:missions",
             workers=0, episodes=1, out=out, clips=0,
         )  # fmt: skip
         return run(config, progress=False).episodes[0], script

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import shutil
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -74,8 +75,10 @@ def test_the_judge_tells_a_refusal(words: list[str], why: str, modules: Any) -> 
     assert bool(output) == bool(why)
 
 
-def test_a_sample_of_the_attacks_is_held(modules: Any) -> None:
+def test_a_sample_of_the_attacks_is_held(modules: Any, smoke_run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     attacks = modules("attacks")
+    # The honest run is flown already.
+    monkeypatch.setattr(modules("attacks_submissions"), "bench", lambda plan, **_: shutil.copytree(smoke_run, plan.out))
     every = attacks.all_attacks(100, 0)
     assert len(every) >= 300
     slow = [attack for attack in every if attack.kind in ("poisoned folder", "messages to a server")]

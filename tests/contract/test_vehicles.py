@@ -94,7 +94,13 @@ KINDS: list[tuple[str, Pace]] = [
 ]  # fmt: skip
 
 
-@pytest.fixture(params=KINDS, ids=lambda each: "-".join(each))
+def fast(*twice: tuple[str, Pace]) -> pytest.MarkDecorator:
+    """All of them; those that fly so in another test of this module, or need no flight of their own, with `slow`."""
+    kinds = [pytest.param(each, marks=[pytest.mark.slow] * (each in twice), id="-".join(each)) for each in KINDS]
+    return pytest.mark.parametrize("vehicle", kinds, indirect=True)
+
+
+@pytest.fixture
 def vehicle(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Vehicle]:
     kind, pace = request.param
     with opened_vehicle(kind, pace, tmp_path) as found:
@@ -114,6 +120,7 @@ def test_every_vehicle_of_the_registry_is_tried():
     assert {kind.rpartition(" ")[2] for kind, _ in KINDS} == set(VEHICLES)
 
 
+@fast(("sitl", "lockstep"))
 def test_it_flies_from_take_off_to_landing(vehicle: Vehicle):
     begin(vehicle)
     drone = vehicle.take_off(yes)
@@ -139,6 +146,8 @@ def test_it_flies_from_take_off_to_landing(vehicle: Vehicle):
     assert vehicle.land() == (not vehicle.status().armed)
 
 
+# In Gazebo: vehicles/gazebo/test_flight.py; on ArduCopter: benchmark/test_sitl_runs.py.
+@fast(("sim", "wall"), ("sitl", "wall"), ("sitl", "lockstep"), ("gazebo", "lockstep"))
 def test_where_the_truth_is_known_the_right_gate_counts(vehicle: Vehicle):
     runner = vehicle.track_runner
     if runner is None:
@@ -157,7 +166,7 @@ def test_where_the_truth_is_known_the_right_gate_counts(vehicle: Vehicle):
     assert runner.results[0].chosen == runner.track[0].target
 
 
-@pytest.mark.parametrize("kind", ["sitl", "mavlink", "px4 by mavlink"])
+@pytest.mark.parametrize("kind", [pytest.param("sitl", marks=pytest.mark.slow), "mavlink", "px4 by mavlink"])
 def test_what_is_not_confirmed_does_not_take_off(kind: str, tmp_path: Path):
     with opened_vehicle(kind, "wall", tmp_path) as vehicle:
         begin(vehicle)
@@ -166,7 +175,7 @@ def test_what_is_not_confirmed_does_not_take_off(kind: str, tmp_path: Path):
         assert not vehicle.status().armed
 
 
-@pytest.mark.parametrize("kind", ["sim", "sitl"])
+@pytest.mark.parametrize("kind", ["sim", pytest.param("sitl", marks=pytest.mark.slow)])
 def test_pads_are_landed_on_and_obstacles_flown_around(kind: str, tmp_path: Path):
     landing, clutter = load_suite("open-v3:missions").tracks[5][1], load_suite("open-v3:clutter").tracks[0][0]
     with opened_vehicle(kind, "lockstep", tmp_path) as vehicle:

@@ -98,7 +98,7 @@ MODEL_FAULTS = {
 """Which take a pilot that uses the whole image, or all of the state."""
 
 
-LESS_LIKELY = {"upside down", "mirrored", "height and yaw rate", "velocity reversed"}
+LESS_LIKELY = {"channels first", "upside down", "mirrored", "height and yaw rate", "velocity reversed"}
 
 
 @pytest.mark.parametrize(
@@ -112,9 +112,9 @@ def test_faults_around_a_model_are_named(views, how):
 
 
 def test_every_fault_that_the_tests_can_make_of_image_and_state_is_found(views):
-    for how in {**IMAGES, **STATES}:
-        if how not in ("velocity reversed", "yaw rate right"):  # which the heuristic pilot does not use
-            assert wrong_with(Seeker(how), views), how
+    unused = {"velocity reversed", "yaw rate right"}  # by the heuristic pilot
+    for how in sorted({**IMAGES, **STATES}.keys() - FAULTS.keys() - unused):
+        assert wrong_with(Seeker(how), views), how
 
 
 def test_what_is_too_slow_for_10_hz_is_reported_by_its_own_clock(views):

@@ -138,7 +138,15 @@ def test_what_is_no_instruction_is_not_in_the_space(value):
     assert InstructionSpace(seed=0).sample() in InstructionSpace()
 
 
-@pytest.mark.parametrize("does", ["", "one.close(); many.close()", "del one, many", "Single('open-v1:smoke').close()"])
+@pytest.mark.parametrize(
+    "does",
+    [
+        "",
+        "one.close(); many.close()",
+        pytest.param("del one, many", marks=pytest.mark.slow),
+        pytest.param("Single('open-v1:smoke').close()", marks=pytest.mark.slow),
+    ],
+)
 def test_a_forked_child_ends_as_it_wants_and_leaves_the_environments_to_its_parent(does):
     program = f"""
 import os, sys

@@ -140,9 +140,9 @@ def test_an_episode_of_a_run_is_filmed_as_it_was_flown(tmp_path: Path, capsys: p
 def test_a_run_never_names_code_that_filming_it_would_import(tmp_path: Path) -> None:
     from cognitivedrone.benchmark.runs.film import film_episode
 
-    main(["bench", "--suite", "open-v1:smoke", "--policy", "hover", "--episodes", "1", "--clips", "0", "--workers", "0",
-          "--out", str(tmp_path / "run")])  # fmt: skip
+    main(["bench", "--suite", "open-v1:smoke", "--policy", "oracle", "--episodes", "1", "--clips", "0",
+          "--workers", "0", "--out", str(tmp_path / "run")])  # fmt: skip
     file = tmp_path / "run" / "results.json"
-    file.write_text(file.read_text().replace('"policy": "hover"', '"policy": "os:system"'))
+    file.write_text(file.read_text().replace('"policy": "oracle"', '"policy": "os:system"'))
     with pytest.raises(PluginError, match="os:system"):
         film_episode(tmp_path / "run")

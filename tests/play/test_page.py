@@ -49,7 +49,7 @@ def ask(address, path="", *, data=None, headers=None):
     """Status and body of a request."""
     request = urllib.request.Request(address.partition("?")[0] + path, data, headers or {})  # noqa: S310
     try:
-        with urllib.request.urlopen(request, timeout=10) as answer:  # noqa: S310
+        with urllib.request.urlopen(request, timeout=60) as answer:  # noqa: S310
             return answer.status, answer.read()
     except urllib.error.HTTPError as error:
         return error.code, error.read()

@@ -50,7 +50,7 @@ def script() -> Script:
 @pytest.fixture
 def vlm(script: Script) -> Iterator[Vlm]:
     with serving(script) as url:
-        made = make_reasoner(f"vlm:{url},model=eye-7b,timeout=5")
+        made = make_reasoner(f"vlm:{url},model=eye-7b,timeout=60")
         assert isinstance(made, Vlm)
         yield made
         made.close()

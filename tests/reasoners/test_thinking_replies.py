@@ -112,7 +112,7 @@ def asked(no_vlm_settings):
     def ask(*replies, more=""):
         script.replies = [(200, one) for one in replies]
         with serving(script) as url:
-            made.append(make_reasoner(f"vlm:{url},model=eye-7b,timeout=20{more}"))
+            made.append(make_reasoner(f"vlm:{url},model=eye-7b,timeout=60{more}"))
             return made[-1].refine(FRAME, "Fly through the gate with the owl").directive
 
     yield ask, script
@@ -181,7 +181,7 @@ def test_the_options_for_thinking_are_sent(asked, more, tokens, template):
 def test_a_server_without_one_of_the_fields_keeps_the_other(no_vlm_settings):
     script = Script(replies=[(400, b"no"), (400, b"no"), (200, chat(ANSWER))])
     with serving(script) as url:
-        reasoner = make_reasoner(f"vlm:{url},model=eye-7b,timeout=20,thinking=no")
+        reasoner = make_reasoner(f"vlm:{url},model=eye-7b,timeout=60,thinking=no")
         with pytest.warns(RuntimeWarning, match="does not know the field of thinking=no"):
             reasoner.refine(FRAME, "Fly on")
         reasoner.refine(FRAME, "Fly on")

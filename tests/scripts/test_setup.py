@@ -130,6 +130,18 @@ def test_the_version_that_is_asked_about_is_the_one_of_the_extra(setup):
     assert setup.TORCH in message["project"]["optional-dependencies"]["dev-torch"]
 
 
+def test_what_dev_brought_along_is_not_installed_again(setup, ran, tmp_path):
+    setup.install(["docs"])
+    assert [command[-1] for command, _ in ran if "pip" in command] == [".[docs]"]
+    del ran[:]
+    (tmp_path / "installed-docs").unlink()
+    (tmp_path / "installed-dev-dev-torch").write_text(setup.stamp_of(["dev", "dev-torch"]))
+    setup.install(["docs"])
+    assert ran == []
+    setup.install(["ray"])
+    assert [command[-1] for command, _ in ran if "pip" in command] == [".[ray]"]
+
+
 @pytest.mark.parametrize("flag", ["--help", "-e"])
 def test_a_flag_shows_how_to_use_it_and_installs_nothing(setup, ran, monkeypatch, flag):
     monkeypatch.setattr(setup.sys, "argv", ["setup.py", flag])
@@ -184,10 +196,11 @@ def test_everything_is_installed_in_the_version_of_the_lock_file(setup, monkeypa
     seen = []
 
     def run(command, **options):
-        seen.append((options["cwd"], options["env"]["PIP_CONSTRAINT"]))
+        if "pip" in command:
+            seen.append((options["cwd"], options["env"]["PIP_CONSTRAINT"]))
         return subprocess.CompletedProcess(command, 0)
 
     monkeypatch.setattr(setup.subprocess, "run", run)
     setup.install([])
-    (folder, name) = seen[0]
+    ((folder, name),) = seen
     assert (folder / name).read_text().startswith("# ")

@@ -91,6 +91,7 @@ def test_the_gallery_shows_every_family():
             assert picture.width == 548, file
 
 
+@pytest.mark.slow  # .ci/run builds it, too
 def test_the_site_builds_without_a_warning(tmp_path):
     pytest.importorskip("material", reason="mkdocs-material is in the extra docs")
     pytest.importorskip("mkdocstrings", reason="mkdocstrings is in the extra docs")

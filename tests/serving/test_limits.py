@@ -224,7 +224,7 @@ def test_a_server_that_stops_leaves_no_connection_open():
     """Neither one that was answered, nor one that never finished its request."""
     with contextlib.ExitStack() as stack:
         with serving(ServePlan(port=0)) as address:
-            made = [stack.enter_context(socket.create_connection((address.host, address.port), 5)) for _ in range(5)]
+            made = [stack.enter_context(socket.create_connection((address.host, address.port), 60)) for _ in range(5)]
             made[0].sendall(b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n")
             assert made[0].recv(4096).startswith(b"HTTP/1.1 200")
             made[1].sendall(b"GET /hea")
@@ -240,7 +240,7 @@ def test_a_connection_that_is_being_accepted_when_the_server_stops_is_closed():
         for _ in range(10):
             with serving(ServePlan(port=0)) as address:
                 for _ in range(20):
-                    stack.enter_context(socket.create_connection((address.host, address.port), 5))
+                    stack.enter_context(socket.create_connection((address.host, address.port), 60))
     gc.collect()
 
 

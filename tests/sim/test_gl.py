@@ -82,11 +82,16 @@ def test_no_opengl_is_one_sentence_with_its_own_error_and_the_line_to_type(fresh
     ("variable", "value", "own_error"),
     [
         ("MUJOCO_EGL_DEVICE_ID", "3", "must be an integer between 0 and"),
-        ("MUJOCO_EGL_DEVICE_ID", "first", "invalid literal for int"),
-        ("PYOPENGL_PLATFORM", "osmesa", "Cannot use EGL rendering platform"),
         ("LIBGL_DRIVERS_PATH", "/nowhere", "/nowhere"),
-        ("__EGL_VENDOR_LIBRARY_FILENAMES", "/nowhere.json", "Cannot initialize a EGL device display"),
-        ("GALLIUM_DRIVER", "nonsense", "nonsense"),
+        *(
+            pytest.param(*row, marks=pytest.mark.slow)
+            for row in (
+                ("MUJOCO_EGL_DEVICE_ID", "first", "invalid literal for int"),
+                ("PYOPENGL_PLATFORM", "osmesa", "Cannot use EGL rendering platform"),
+                ("__EGL_VENDOR_LIBRARY_FILENAMES", "/nowhere.json", "Cannot initialize a EGL device display"),
+                ("GALLIUM_DRIVER", "nonsense", "nonsense"),
+            )
+        ),
     ],
 )
 def test_a_variable_that_keeps_opengl_from_starting_is_named(

@@ -31,7 +31,7 @@ def evaluate() -> None:
     """Score a policy from Python."""
     import cognitivedrone
 
-    assert len(cognitivedrone.evaluate("hover", episodes=1, workers=0, progress=False).results.episodes) == 1
+    assert len(cognitivedrone.evaluate("oracle", episodes=1, workers=0, progress=False).results.episodes) == 1
 
 
 def make_vec() -> None:
@@ -62,7 +62,7 @@ def serve() -> int:
 
     client = threading.Thread(target=fly)
     client.start()
-    served = command(f"serve --policy hover --port {PORT}")
+    served = command(f"serve --policy colour_seeker --port {PORT}")
     client.join()
     return codes[0] or (0 if served in (0, 130) else served)
 

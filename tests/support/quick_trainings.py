@@ -15,15 +15,17 @@ import torch
 from cognitivedrone.models.panel_reader import ReaderConfig
 from cognitivedrone.training.perception import calibration, panel_crops, readings
 from cognitivedrone.training.reasoner.reader import READER
+from cognitivedrone.training.reasoner.selector import DEBUG_SELECTOR
 from cognitivedrone.training.small_vla import export
 from cognitivedrone.training.small_vla.policy import PolicyTraining
-from cognitivedrone.training.trainer import trainer
+from cognitivedrone.training.trainer import run_log, trainer
 from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint, restore, save_checkpoint
 from cognitivedrone.training.trainer.prefetch import learner_path
 from cognitivedrone.training.trainer.trainer import TrainConfig, train
 from cognitivedrone.training.trainer.training_task import Batch, Batches, TrainingTask
 
-SCHEDULE: dict[str, Any] = {"steps": 4, "warmup_steps": 1, "round_steps": 2, "validate_every": 2, "fly_every": 4}
+SCHEDULE: dict[str, Any] = {"steps": 4, "warmup_steps": 1, "round_steps": 2, "validate_every": 2, "fly_every": 0}
+"""Without trials: what has not learned flies until its time is over."""
 TINY_READER = replace(
     READER,
     **SCHEDULE,
@@ -31,6 +33,7 @@ TINY_READER = replace(
     validation_cards=32,
     network=ReaderConfig(crop_size=32, panel_encoder=(8, 8, 8, 8), embedding=16),
 )
+SMALL_SELECTOR = replace(DEBUG_SELECTOR, **SCHEDULE, batch=32, validation_tasks=100)
 
 
 def make_small(patch: pytest.MonkeyPatch) -> None:
@@ -91,9 +94,10 @@ def train_here(
     resume: bool = False,
     report: Callable[[str], None] = lambda _: None,
 ) -> Path:
-    """Train in this process alone; returns the checkpoint."""
+    """Train in this process alone, and draw no curves; returns the checkpoint."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(trainer, "PrefetchQueue", InProcess)
+        patch.setattr(run_log, "draw_curves", lambda rows, path: None)
         return train(TrainConfig(out, task, seed=seed, resume=resume), report)
 
 

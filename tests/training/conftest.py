@@ -109,3 +109,42 @@ def policy_file(tmp_path_factory: pytest.TempPathFactory, policy_checkpoint: Pat
             export(policy_checkpoint, folder / "model.onnx", encoder=encoder, scores={"open-v1:test": 0.5})
 
     return made_once(tmp_path_factory, "file", make) / "model.onnx"
+
+
+@pytest.fixture(scope="session")
+def reasoner_parts(tmp_path_factory: pytest.TempPathFactory, policy_file: Path) -> Path:
+    """The folder of a barely trained gate selector, as one command writes it, with the other parts of that policy."""
+    from quick_trainings import SMALL_SELECTOR, InProcess
+
+    from cognitivedrone.training.config import TrainPlan
+    from cognitivedrone.training.launch import run
+    from cognitivedrone.training.recipes import ALL_RECIPES
+    from cognitivedrone.training.trainer import trainer
+
+    def make(folder: Path) -> None:
+        out = folder / "selector"
+        with small(), pytest.MonkeyPatch.context() as patch:
+            patch.setattr(trainer, "PrefetchQueue", InProcess)
+            patch.setitem(ALL_RECIPES, "selector", SMALL_SELECTOR)
+            assert run(TrainPlan(out, "selector", start=policy_file)) == out / "gate_selector.onnx"
+        assert {path.name for path in out.glob("*.onnx")} == {"gate_selector.onnx"}
+        for name in ("panel_reader.onnx", "language.onnx", "text_encoder.onnx"):
+            shutil.copy(policy_file.parent / name, out)
+
+    return made_once(tmp_path_factory, "reasoner", make) / "selector"
+
+
+@pytest.fixture(scope="session")
+def flights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set, large enough for two families to have a flight in both splits. For reading only."""
+    from collect_pools import flying, forwards
+
+    from cognitivedrone.collect import collector
+
+    def make(folder: Path) -> None:
+        plan = collector.CollectPlan.of(out=folder / "set", recipe="debug", episodes=24, episodes_per_shard=8)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(collector, "pool_of", flying(forwards))
+            collector.collect(plan, progress=False)
+
+    return made_once(tmp_path_factory, "flights", make) / "set"

@@ -21,7 +21,7 @@ from cognitivedrone.training.trainer.training_task import Given
 pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
 
 _STREAM = replace(RECIPES["debug"].stream, layouts=0.8)
-TINY = replace(FLIGHT, **SCHEDULE, stream=_STREAM, validation_frames=8, fly_tasks=2)
+TINY = replace(FLIGHT, **SCHEDULE, stream=_STREAM, validation_frames=8)
 
 
 def test_only_flying_learns(policy_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -185,6 +185,7 @@ def test_every_flag_reaches_all_processes(tmp_path: Path) -> None:
     assert tyro.cli(TrainPlan, args=parsed.training_script_args) == replace(options, processes=1)
 
 
+@pytest.mark.slow  # what starts several processes: test_launch.py
 def test_a_users_error_in_several_processes_is_told_once(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(TrainingError, match=r"^there is no model file none\.onnx$"):
         run(TrainPlan(tmp_path, "language", start=Path("none.onnx"), processes=2))

@@ -21,7 +21,6 @@ from openvla_files import write_checkpoint
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.runs.runner import run
 from cognitivedrone.cli import main
-from cognitivedrone.collect.collector import CollectPlan, collect
 from cognitivedrone.data.formats import export
 from cognitivedrone.data.statistics import spread
 from cognitivedrone.data.store import Store
@@ -83,14 +82,6 @@ class Runs:
 
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-
-
-@pytest.fixture(scope="module")
-def flights(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("openvla") / "flights"
-    # Enough for two families to have a flight in both splits.
-    collect(CollectPlan.of(out=folder, recipe="debug", episodes=12, workers=1), progress=False)
-    return folder
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 import torch
 from accelerate import Accelerator
 from accelerate.state import AcceleratorState
-from quick_trainings import QuickPolicyTraining
+from quick_trainings import train_here
 from torch.nn.modules.module import register_module_forward_hook
 
 from cognitivedrone.training.recipes import RECIPES
@@ -56,7 +56,7 @@ def no_accelerator() -> Iterator[None]:
 @pytest.mark.parametrize("casts", [True, False])
 def test_a_training_computes_in_what_suits_the_machine(tmp_path, monkeypatch, language_checkpoint, casts):
     monkeypatch.setattr(trainer, "trains_in_bf16", lambda: casts)
-    task = QuickPolicyTraining.of(replace(RECIPES["debug"], steps=1).training(Given(start=language_checkpoint)))
+    task = replace(RECIPES["debug"], steps=1, fly_every=0).training(Given(start=language_checkpoint))
     seen = set()
 
     def note(module, _, output):
@@ -65,7 +65,7 @@ def test_a_training_computes_in_what_suits_the_machine(tmp_path, monkeypatch, la
 
     hook = register_module_forward_hook(note)
     try:
-        trainer.train(trainer.TrainConfig(tmp_path, task), lambda _: None)
+        train_here(tmp_path, task)
     finally:
         hook.remove()
     assert seen == {torch.bfloat16 if casts else torch.float32}

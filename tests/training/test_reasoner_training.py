@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from quick_trainings import SCHEDULE, TINY_READER, InProcess, killed_at, train_here
+from quick_trainings import SMALL_SELECTOR, TINY_READER, killed_at, train_here
 
 from cognitivedrone.errors import ModelError, TrainingError
 from cognitivedrone.labels import load_pack
@@ -30,18 +30,15 @@ from cognitivedrone.training.perception.readings import Readings
 from cognitivedrone.training.reasoner.export import export_selector
 from cognitivedrone.training.reasoner.pretrained import PACKAGE
 from cognitivedrone.training.reasoner.reader import ReaderTraining
-from cognitivedrone.training.reasoner.selector import DEBUG_SELECTOR, SELECTOR, Encoder, SelectorTraining, look_of
+from cognitivedrone.training.reasoner.selector import SELECTOR, Encoder, SelectorTraining, look_of
 from cognitivedrone.training.reasoner.trained import trained_selector
-from cognitivedrone.training.recipes import ALL_RECIPES
 from cognitivedrone.training.small_vla.trained import load_trained
-from cognitivedrone.training.trainer import trainer
 from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint
 from cognitivedrone.training.trainer.run_log import METRICS, read_rows
 from cognitivedrone.training.trainer.start import read_start
 from cognitivedrone.training.trainer.training_task import Batch, Given, to_tensors
 from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Gate
 
-SMALL_SELECTOR = replace(DEBUG_SELECTOR, **SCHEDULE, batch=32, validation_tasks=100)
 INDEX = AttributeIndex()
 
 pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
@@ -50,20 +47,6 @@ pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
 @pytest.fixture(scope="module")
 def training_task(policy_checkpoint: Path) -> SelectorTraining:
     return SMALL_SELECTOR.training(Given(start=policy_checkpoint))
-
-
-@pytest.fixture(scope="module")
-def parts(tmp_path_factory: pytest.TempPathFactory, policy_file: Path) -> Path:
-    """The folder of a barely trained gate selector, as one command writes it, with the other parts of a policy."""
-    folder = tmp_path_factory.mktemp("reasoner") / "selector"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trainer, "PrefetchQueue", InProcess)
-        patch.setitem(ALL_RECIPES, "selector", SMALL_SELECTOR)
-        assert run(TrainPlan(folder, "selector", start=policy_file)) == folder / "gate_selector.onnx"
-    assert {path.name for path in folder.glob("*.onnx")} == {"gate_selector.onnx"}
-    for name in ("panel_reader.onnx", "language.onnx", "text_encoder.onnx"):
-        shutil.copy(policy_file.parent / name, folder)
-    return folder
 
 
 def drawn(mix: Mix, count: int, seed: int = 1) -> list[Problem]:
@@ -235,7 +218,7 @@ def test_the_gate_selector_learns_a_batch_by_heart(family: str, training_task: S
 # ---- the trained parts
 
 
-def test_the_panel_reader_in_onnx_reads_as_in_torch(parts: Path, policy_file: Path) -> None:
+def test_the_panel_reader_in_onnx_reads_as_in_torch(reasoner_parts: Path, policy_file: Path) -> None:
     policy, _ = load_trained(policy_file)
     assert policy.reader is not None
     reader = PanelReader(policy.finder, policy.reader, policy.schema).eval()
@@ -244,7 +227,7 @@ def test_the_panel_reader_in_onnx_reads_as_in_torch(parts: Path, policy_file: Pa
     with torch.no_grad():
         opinions = torch.randn(1, 3, len(policy.schema.things)), torch.tensor([[1.0, 0.3, NONE]])
         told = [part[0].numpy() for part in reader(torch.from_numpy(image)[None], *opinions)]
-    model = PanelReaderModel.load(parts / "panel_reader.onnx")
+    model = PanelReaderModel.load(reasoner_parts / "panel_reader.onnx")
     assert model.attributes.names == ATTRIBUTES
     assert model.provenance.recipe == "debug"
     assert model.classifier
@@ -254,13 +237,13 @@ def test_the_panel_reader_in_onnx_reads_as_in_torch(parts: Path, policy_file: Pa
 
 
 def test_the_gate_selector_in_onnx_answers_as_in_torch(
-    parts: Path, training_task: SelectorTraining, tmp_path: Path
+    reasoner_parts: Path, training_task: SelectorTraining, tmp_path: Path
 ) -> None:
-    calibrated = GateSelectorModel.load(parts / "gate_selector.onnx")
-    model = GateSelectorModel.load(export_selector(parts / CHECKPOINT, tmp_path))
+    calibrated = GateSelectorModel.load(reasoner_parts / "gate_selector.onnx")
+    model = GateSelectorModel.load(export_selector(reasoner_parts / CHECKPOINT, tmp_path))
     assert calibrated.tokenizer.pieces == model.tokenizer.pieces == training_task.pieces
     assert model.notes == {}
-    selector = trained_selector(read_start(parts / CHECKPOINT, "selector"))
+    selector = trained_selector(read_start(reasoner_parts / CHECKPOINT, "selector"))
     encoder = Encoder(0.0, model.tokenizer, Readings(INDEX))
     for batch in encoder.batches(np.random.default_rng(0), drawn(SELECTOR.mix, 20), 7):
         with torch.no_grad():
@@ -283,17 +266,16 @@ def test_a_killed_gate_selector_ends_with_the_same_weights(training_task: Select
     assert "absent" in families
 
 
-def test_the_small_reasoner_is_made_of_the_files_of_policy_and_selector(parts: Path) -> None:
-    reasoner = make_reasoner(f"small:{parts}")
+def test_the_small_reasoner_is_made_of_the_files_of_policy_and_selector(reasoner_parts: Path, tmp_path: Path) -> None:
+    for path in reasoner_parts.glob("*.onnx"):
+        shutil.copy(path, tmp_path)
+    reasoner = make_reasoner(f"small:{tmp_path}")
     assert isinstance(reasoner, SmallReasoner)
-    assert SmallReasoner.file_of(str(parts)) == parts / "panel_reader.onnx"
+    assert SmallReasoner.file_of(str(tmp_path)) == tmp_path / "panel_reader.onnx"
     reasoner.reset(EpisodeContext("the letter A"))
-    (parts / "language.onnx").rename(parts / "elsewhere")
-    try:
-        with pytest.raises(ModelError, match=r"lacks .* or language\.onnx; reinstall"):
-            make_reasoner(f"small:{parts}")
-    finally:
-        (parts / "elsewhere").rename(parts / "language.onnx")
+    (tmp_path / "language.onnx").unlink()
+    with pytest.raises(ModelError, match=r"lacks .* or language\.onnx; reinstall"):
+        make_reasoner(f"small:{tmp_path}")
 
 
 def test_a_gate_selector_learns_without_flights(tmp_path: Path) -> None:

@@ -26,13 +26,6 @@ SOURCE = SampleSource(None)
 pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
 
 
-@pytest.fixture(scope="module")
-def flights(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("recorded") / "flights"
-    collect(CollectPlan.of(out=folder, recipe="debug", episodes=24, workers=1, episodes_per_shard=8), progress=False)
-    return folder
-
-
 @pytest.fixture
 def recorded(flights: Path) -> Recorded:
     return Recorded(flights, STREAM, SOURCE)
@@ -79,7 +72,7 @@ def test_splits_do_not_mix(flights: Path) -> None:
 def test_a_training_from_a_data_set_says_so_and_does_not_go_on_with_another(
     flights: Path, tmp_path: Path, language_checkpoint: Path
 ) -> None:
-    recipe = replace(RECIPES["debug"], steps=2, fly_every=2, fly_tasks=1)
+    recipe = replace(RECIPES["debug"], steps=2, fly_every=0)
     path = train_here(tmp_path / "run", recipe.training(Given(start=language_checkpoint, data=flights)))
     tensors, facts = read_checkpoint(path)
     assert facts["data"] == f"from debug-language, step 6, seed 0, store {Store(flights).content_hash()}"
@@ -98,7 +91,7 @@ def test_a_learners_relabelled_flights_are_a_data_set_too(
         out=folder, recipe="debug", episodes=4, workers=1, episodes_per_shard=2, policy="hover", beta=0.2
     )
     collect(config, progress=False)
-    short = replace(RECIPES["debug"], steps=2, fly_every=2, fly_tasks=1)
+    short = replace(RECIPES["debug"], steps=2, fly_every=0)
     path = train_here(tmp_path / "run", short.training(Given(start=language_checkpoint, data=folder)))
     tensors, facts = read_checkpoint(path)
     assert facts["data"].endswith(f"store {Store(folder).content_hash()}")

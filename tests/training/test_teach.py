@@ -23,8 +23,6 @@ from cognitivedrone.models.small_file import SmallModel
 from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.training.language.problems import ABSENT, Mix, Problems
 from cognitivedrone.training.perception.attributes import AttributeIndex
-from cognitivedrone.training.reasoner.export import export_selector
-from cognitivedrone.training.reasoner.selector import DEBUG_SELECTOR
 from cognitivedrone.training.small_vla.trained import load_trained
 from cognitivedrone.training.teach.lesson import attribute_of, read_lesson, spoken
 from cognitivedrone.training.teach.practice import LessonCrops, LessonProblems, varied
@@ -33,7 +31,7 @@ from cognitivedrone.training.trainer.checkpoint import read_checkpoint, restore
 from cognitivedrone.training.trainer.training_task import Given, to_tensors
 
 GATES = {str(i + 1): {"size": "big", "shape": "round", "color": c} for i, c in enumerate(("red", "green", "blue"))}
-TINY = replace(TEACH, **(SCHEDULE | {"fly_every": 10**6}), steps_for_each=0, batch=16, validation_problems=16)
+TINY = replace(TEACH, **SCHEDULE, steps_for_each=0, batch=16, validation_problems=16)
 
 pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
 
@@ -273,13 +271,11 @@ def test_crops_of_a_lesson_show_it_and_what_was_known(labels: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def pilot(policy_file: Path, policy_checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def pilot(policy_file: Path, reasoner_parts: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a tiny pilot."""
     folder = tmp_path_factory.mktemp("pilot")
-    for path in policy_file.parent.glob("*.onnx"):
+    for path in (*policy_file.parent.glob("*.onnx"), reasoner_parts / "gate_selector.onnx"):
         shutil.copy(path, folder)
-    checkpoint = train_here(folder / "run", DEBUG_SELECTOR.training(Given(start=policy_checkpoint)))
-    export_selector(checkpoint, folder)
     return folder
 
 

@@ -353,7 +353,7 @@ class Server:
     def _run(self, data: bytes) -> None:
         with self._server.accept()[0] as connection:
             connection.sendall(data)
-            self._stop.wait(10)
+            self._stop.wait(60)
 
     def close(self) -> None:
         self._stop.set()

@@ -269,8 +269,19 @@ def test_a_pilot_process_that_is_stopped_is_landed():
         soon(lambda: landing(peer))
 
 
-@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTERM, signal.SIGINT])
-@pytest.mark.parametrize("climbing", [True, False])
+SIGNALS = [
+    (signal.SIGHUP, False),
+    (signal.SIGTERM, True),
+    (signal.SIGINT, False),
+    *(
+        pytest.param(number, climbing, marks=pytest.mark.slow)
+        for number, climbing in ((signal.SIGHUP, True), (signal.SIGTERM, False), (signal.SIGINT, True))
+    ),
+]
+"""Each signal, and whether the vehicle climbs or flies."""
+
+
+@pytest.mark.parametrize(("number", "climbing"), SIGNALS)
 def test_a_signal_to_the_pilot_process_lands_in_climb_and_flight(number, climbing):
     with playing(climbs=not climbing) as peer, pilot(peer, rules=PATIENT) as process:
         if climbing:
@@ -282,8 +293,7 @@ def test_a_signal_to_the_pilot_process_lands_in_climb_and_flight(number, climbin
         process.wait(60)
 
 
-@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGTERM, signal.SIGINT])
-@pytest.mark.parametrize("climbing", [True, False])
+@pytest.mark.parametrize(("number", "climbing"), SIGNALS)
 def test_a_signal_to_the_guard_lands_in_climb_and_flight(number, climbing):
     with playing(climbs=not climbing) as peer, pilot(peer, rules=PATIENT) as process:
         guard = children(process.pid)[0]

@@ -34,7 +34,7 @@ GCS_BEAT = m.MAVLink_heartbeat_message(m.MAV_TYPE_GCS, m.MAV_AUTOPILOT_INVALID, 
 @pytest.mark.parametrize("wire", ["MAVLink 1", "MAVLink 2", "signed"])
 def test_a_vehicle_is_flown_whatever_kind_of_packet_it_sends(wire):
     with playing(wire=wire) as peer:
-        config = MavlinkConfig(takeoff_timeout_s=5.0)
+        config = MavlinkConfig(takeoff_timeout_s=60)
         with MavlinkDrone(f"udpout:127.0.0.1:{peer.port}", StillCamera(), Guard(CALM), config) as drone:
             drone.take_off(lambda checklist: not checklist.bad)
             sent = drone.send(np.array([1, 0, 0, 0], np.float32))
@@ -43,8 +43,9 @@ def test_a_vehicle_is_flown_whatever_kind_of_packet_it_sends(wire):
         assert (peer.part.mode, peer.part.armed) == (MODES["LAND"], False)
 
 
-def test_a_vehicle_that_takes_signed_packets_alone_is_said_to():
-    config = MavlinkConfig(takeoff_timeout_s=5.0)
+def test_a_vehicle_that_takes_signed_packets_alone_is_said_to(monkeypatch):
+    monkeypatch.setattr("cognitivedrone.vehicles.mavlink.client.connection.ACK_S", 0.1)
+    config = MavlinkConfig(takeoff_timeout_s=60)
     with playing(wire="signed only") as peer:
         with pytest.raises(LinkError, match=r"did not answer to .*; it signs its packets, and may ignore ours"):
             MavlinkDrone(f"udpout:127.0.0.1:{peer.port}", StillCamera(), Guard(CALM), config)

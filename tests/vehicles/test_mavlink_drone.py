@@ -462,7 +462,7 @@ class Constant(Policy):
         return np.array([[1.0, 0.0, 0.0, 0.0]], dtype=np.float32)
 
 
-@pytest.mark.parametrize("firmware", [(4, 6), (4, 7)])
+@pytest.mark.parametrize("firmware", [pytest.param((4, 6), marks=pytest.mark.slow), (4, 7)])
 def test_the_loop_flies_the_simulator_over_mavlink_and_lands_it(firmware):
     config = MavlinkConfig(clock="vehicle", set_parameters=True, takeoff_height_m=1.0)
     with Sky(speed=8, firmware=firmware) as sky:

@@ -34,7 +34,7 @@ from cognitivedrone.vehicles.mavlink.guard.drone import GuardedDrone
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, updated
 
 CONFIG = MavlinkConfig(
-    takeoff_height_m=0.5, heartbeat_timeout_s=3, ready_timeout_s=3, takeoff_timeout_s=8, landing_timeout_s=8
+    takeoff_height_m=0.5, heartbeat_timeout_s=60, ready_timeout_s=60, takeoff_timeout_s=60, landing_timeout_s=60
 )
 FORWARD = np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32)
 STICKS = (1500, 1500, 1200, 1500)
@@ -110,7 +110,7 @@ def test_without_a_stream_offboard_is_refused(monkeypatch):
 @pytest.mark.parametrize(("action", "mode"), [(4, "LAND"), pytest.param(3, "RTL", marks=pytest.mark.slow)])
 def test_when_we_are_killed_the_offboard_loss_action_follows(action, mode):
     with playing_px4(parameters={**PX4_PARAMETERS, "COM_OBL_RC_ACT": action}) as peer:
-        drone = connect(peer)
+        drone = connect(peer, replace(CONFIG, landing_timeout_s=0.2))  # it has no link to land by
         drone.take_off(lambda _: True)
         assert peer.in_air
         drone.link.close()  # the program is gone: no velocity, no heartbeat
@@ -119,7 +119,9 @@ def test_when_we_are_killed_the_offboard_loss_action_follows(action, mode):
             drone.close()
 
 
-@pytest.mark.parametrize("mode", ["POSCTL", "HOLD", "RTL", "UNKNOWN"])
+@pytest.mark.parametrize(
+    "mode", ["POSCTL", "UNKNOWN", *(pytest.param(mode, marks=pytest.mark.slow) for mode in ("HOLD", "RTL"))]
+)
 def test_the_pilot_wins_for_good(mode):
     with playing_px4() as peer:
         with flying(peer) as drone:

@@ -20,7 +20,7 @@ from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.mavlink.renames import RENAMED, with_both_names
 from cognitivedrone.vehicles.mavlink.server.parameters import Parameters
 
-CONFIG = MavlinkConfig(heartbeat_timeout_s=5.0, ready_timeout_s=2.0, takeoff_timeout_s=5.0)
+CONFIG = MavlinkConfig(heartbeat_timeout_s=60, ready_timeout_s=60, takeoff_timeout_s=60)
 IN_BETWEEN = {
     **{n: v for n, v in PARAMETERS_4_7.items() if not n.startswith("RTL_")},
     **{n: v for n, v in PARAMETERS.items() if n.startswith("RTL_")},

@@ -5,6 +5,7 @@ Each part begins with the token [CLS], positions count from there, and a number 
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -52,8 +53,6 @@ class SceneTokenizer:
 
     def __init__(self, pieces: Sequence[str], where: str = "the vocabulary") -> None:
         """Raises `ModelError` for pieces that are no vocabulary."""
-        from tokenizers import Tokenizer  # takes 20 ms to import
-
         self.pieces = tuple(pieces)
         number = {piece: index for index, piece in enumerate(self.pieces)}
         if len(number) != len(self.pieces) or not all(name in number for name in _SPECIAL[:3]):
@@ -63,19 +62,7 @@ class SceneTokenizer:
         if number["[PAD]"] != 0:
             raise ModelError(f"{where} is no word-piece vocabulary of the expected kind: [PAD] is not its first piece")
         self._start = number["[CLS]"]
-        facts = {
-            "version": "1.0",
-            "normalizer": {
-                "type": "BertNormalizer", "clean_text": True, "handle_chinese_chars": True, "strip_accents": None,
-                "lowercase": True,
-            },
-            "pre_tokenizer": {"type": "BertPreTokenizer"},
-            "model": {
-                "type": "WordPiece", "unk_token": "[UNK]", "continuing_subword_prefix": "##",
-                "max_input_chars_per_word": 100, "vocab": number,
-            },
-        }  # fmt: skip
-        self._tokenizer: Any = Tokenizer.from_str(json.dumps(facts))
+        self._tokenizer = _word_pieces(self.pieces)
 
     def encode(self, parts: Sequence[str]) -> tuple[Integers, Integers, Integers]:
         """Tokens, positions and part numbers (L,), of at most five texts."""
@@ -90,6 +77,26 @@ class SceneTokenizer:
             numbers += [number] * (len(ids) + 1)
         a, b, c = (np.array(values, np.int64) for values in (tokens, positions, numbers))
         return a, b, c
+
+
+@functools.lru_cache(maxsize=4)
+def _word_pieces(pieces: tuple[str, ...]) -> Any:
+    """What splits text into these pieces, of the library `tokenizers`; slow to make where they are many."""
+    from tokenizers import Tokenizer  # takes 20 ms to import
+
+    facts = {
+        "version": "1.0",
+        "normalizer": {
+            "type": "BertNormalizer", "clean_text": True, "handle_chinese_chars": True, "strip_accents": None,
+            "lowercase": True,
+        },
+        "pre_tokenizer": {"type": "BertPreTokenizer"},
+        "model": {
+            "type": "WordPiece", "unk_token": "[UNK]", "continuing_subword_prefix": "##",
+            "max_input_chars_per_word": 100, "vocab": {piece: index for index, piece in enumerate(pieces)},
+        },
+    }  # fmt: skip
+    return Tokenizer.from_str(json.dumps(facts))
 
 
 def stacked(encoded: Sequence[tuple[Integers, ...]]) -> dict[str, Integers]:
