@@ -60,6 +60,8 @@ class OpenVla(Policy):
     `MissingExtra` if a package is missing.
     """
 
+    on_card = True
+
     def __init__(
         self,
         folder: Path | str,

@@ -55,6 +55,8 @@ class LocalVlm(Reasoner):
     Raises `ModelError` for an invalid argument or a model that cannot be loaded, `MissingExtra` for a missing package.
     """
 
+    on_card = True
+
     def __init__(
         self,
         model: str,
