@@ -14,6 +14,7 @@ import numpy as np
 from cognitivedrone.errors import ModelError, NonFiniteAction, PluginError, PolicyError, import_extra
 from cognitivedrone.interfaces import Policy, attempt
 from cognitivedrone.models.card import remarks, why_none
+from cognitivedrone.models.compiling import compiled_or_plain
 from cognitivedrone.models.openvla import checkpoint as checkpoints
 from cognitivedrone.models.openvla.checkpoint import Checkpoint, DecoderName, Quantisation
 from cognitivedrone.models.openvla.config import IMAGE
@@ -206,15 +207,13 @@ def warmed_up(
 
     if not compiled:
         return made("recording OpenVLA")
-    compile_blocks(network, backend)
-    try:
+
+    def compiled_blocks() -> Decoder:
+        compile_blocks(network, backend)
         return made("compiling OpenVLA (once; kept on disk)")
-    except Exception as error:  # of the compiler, the C compiler that it calls, or the card's driver
-        line = " ".join(str(error).split())[:200]
-        warnings.warn(
-            f"policy openvla flies without being compiled, which is slower: {type(error).__name__}: {line}",
-            RuntimeWarning,
-            stacklevel=3,
-        )
-    uncompile(network)
-    return made("recording OpenVLA")
+
+    def plain_blocks() -> Decoder:
+        uncompile(network)
+        return made("recording OpenVLA")
+
+    return compiled_or_plain("policy openvla", compiled_blocks, plain_blocks, backend)

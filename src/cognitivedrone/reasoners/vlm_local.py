@@ -19,6 +19,7 @@ import numpy as np
 from cognitivedrone.errors import MissingExtra, ModelError, did_you_mean, import_extra
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.models.card import why_none
+from cognitivedrone.models.compiling import compiled_or_plain
 from cognitivedrone.reasoners.prompt import (
     MAX_TOKENS,
     answers,
@@ -195,18 +196,13 @@ class LocalVlm(Reasoner):
     def _warm_up(self, make: Callable[..., Callable[[dict[str, Any]], list[int]]], compiler: str = "inductor") -> None:
         """Compile and record before take-off; where compiling fails, it is said, and the model is run as it is."""
         asked = self.inputs(np.zeros((IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8), "Fly through the gate")
-        self._decode = make(compiler=compiler)
-        try:
-            self._decode(asked)
-        except Exception as error:  # of the compiler, the C compiler that it calls, or the card's driver
-            line = " ".join(str(error).split())[:200]
-            warnings.warn(
-                f"reasoner vlm-local is not compiled, which is slower: {type(error).__name__}: {line}",
-                RuntimeWarning,
-                stacklevel=4,
-            )
-            self._decode = make()
-            self._decode(asked)
+
+        def made(compiler: str | None) -> Callable[[dict[str, Any]], list[int]]:
+            decode = make(compiler=compiler)
+            decode(asked)
+            return decode
+
+        self._decode = compiled_or_plain("reasoner vlm-local", lambda: made(compiler), lambda: made(None), compiler)
 
 
 def _quantised(library: Any, torch: Any, bits: int, device: Any) -> dict[str, Any]:
