@@ -176,7 +176,7 @@ def _decoder(options: Options, checkpoint: Checkpoint) -> Decoder:
     from cognitivedrone.models.openvla.weights import load
 
     dtype = torch.float32 if stored == 4 else torch.bfloat16
-    network = load(checkpoint, device, dtype, options.quant)
+    network = load(checkpoint, device, dtype, options.quant, fused=True)
     # Quantised weights are fast only if they are unpacked inside the multiplication, which takes a compiler.
     compiled = device == "cuda" if options.compiled is None else options.compiled
     lengths = _USUAL_LENGTHS if device == "cuda" or compiled else ()
