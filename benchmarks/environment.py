@@ -3,6 +3,7 @@
 Run: python benchmarks/environment.py [--many] [--out results/environment.json]
 
 Prints medians over repetitions, and their ratio to gym-pybullet-drones (github.com/learnsyslab/gym-pybullet-drones).
+The file is written after every repetition.
 Where that can be imported it flies in the same repetitions, turn by turn; else the ratio is to a figure that was
 measured before, named with its date. It flies as is fastest for it: one drone, rotor speeds instead of
 velocities, and a frame of the same size at every control step.
@@ -16,7 +17,7 @@ import os
 import platform
 import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.types import IMAGE_SIZE
 
+WHAT = "Control steps of the environments, with full dynamics and 256x256 frames"
 PEER = "gym-pybullet-drones"
 PEER_STEPS_S = 44.0
 PEER_MEASURED = "2026-11-22, 2 cores of an AMD EPYC"
@@ -78,15 +80,30 @@ def timed(step: Callable[[], object]) -> float:
     return time.perf_counter() - begin
 
 
-def steps_per_second(contenders: dict[str, Callable[[], object]]) -> dict[str, float]:
-    """Median control steps a second of each. They take turns, so that a busy machine is busy for all of them."""
+def steps_per_second(contenders: dict[str, Callable[[], object]]) -> Iterator[dict[str, float]]:
+    """Median control steps a second of each so far, after every repetition.
+
+    They take turns, so that a busy machine is busy for all of them.
+    """
     seconds: dict[str, list[float]] = {name: [] for name in contenders}
     for repetition in range(REPETITIONS + 1):
         for name, step in contenders.items():
             took = timed(step)
             if repetition:  # the first warms up
                 seconds[name].append(took)
-    return {name: STEPS / statistics.median(took) for name, took in seconds.items()}
+        if repetition:
+            yield {name: STEPS / statistics.median(took) for name, took in seconds.items()}
+
+
+def rows_of(worlds: dict[str, int], calls: dict[str, float]) -> list[dict[str, Any]]:
+    """The rows of the file, the peer's last: from numbers of worlds, and calls a second."""
+    today = datetime.now(UTC).date().isoformat()
+    rate, when = calls.get(PEER, PEER_STEPS_S), today if PEER in calls else PEER_MEASURED.partition(",")[0]
+    rows: list[dict[str, Any]] = []
+    for name, count in worlds.items():
+        steps = count * calls[name]
+        rows.append({"what": name, "unit": UNIT, "steps_per_s": steps, "ratio": steps / rate, "date": today})
+    return [*rows, {"what": f"{PEER}, one drone", "unit": UNIT, "steps_per_s": rate, "ratio": 1, "date": when}]
 
 
 def reset_seconds() -> float:
@@ -117,23 +134,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
     together = importlib.util.find_spec("gym_pybullet_drones") is not None
     if together:
         contenders[PEER] = peer()
-    calls = steps_per_second(contenders)
-    rate = calls.get(PEER, PEER_STEPS_S)
-    today = datetime.now(UTC).date().isoformat()
     rows: list[dict[str, Any]] = []
-    for name, count in worlds.items():
-        steps = count * calls[name]
-        ratios = f"{steps / rate:6.1f} x {PEER}   {steps / calls['one world']:5.1f} x one world"
-        print(f"{name:20} {steps:8.0f} {UNIT}   {ratios}")
-        rows.append({"what": name, "unit": UNIT, "steps_per_s": steps, "ratio": steps / rate, "date": today})
+    for calls in steps_per_second(contenders):
+        rows = rows_of(worlds, calls)
+        keep(out, WHAT, rows, seed=0)
+    rate, single_world = rows[-1]["steps_per_s"], rows[0]["steps_per_s"]
+    for row in rows[:-1]:
+        ratios = f"{row['ratio']:6.1f} x {PEER}   {row['steps_per_s'] / single_world:5.1f} x one world"
+        print(f"{row['what']:20} {row['steps_per_s']:8.0f} {UNIT}   {ratios}")
     source = "flown here, turn by turn" if together else f"not installed here; measured {PEER_MEASURED}"
     print(f"{PEER:20} {rate:8.0f} {UNIT}   {source}")
-    when = today if together else PEER_MEASURED.partition(",")[0]
-    rows.append({"what": f"{PEER}, one drone", "unit": UNIT, "steps_per_s": rate, "ratio": 1, "date": when})
     change_ms = 1e3 * reset_seconds()
     print(f"{'task change':20} {change_ms:8.1f} ms from reset to first frame (median of {RESETS} tasks)")
     rows.append({"what": "task change", "ms": change_ms})
-    keep(out, "Control steps of the environments, with full dynamics and 256x256 frames", rows, seed=0)
+    keep(out, WHAT, rows, seed=0)
 
 
 if __name__ == "__main__":

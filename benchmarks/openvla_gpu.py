@@ -36,6 +36,7 @@ from cognitivedrone.benchmark.measurements import OUT_HELP, command_line
 from cognitivedrone.models.openvla.checkpoint import Quantisation
 from cognitivedrone.models.openvla.compiled import compile_blocks
 from cognitivedrone.models.openvla.decode import Autoregressive, Decoder, Parallel, Runner, greedy_tokens
+from cognitivedrone.models.openvla.fused import fuse
 from cognitivedrone.models.openvla.network import OpenVlaNetwork
 from cognitivedrone.models.openvla.prepare import ImagePreparation
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE
@@ -89,9 +90,12 @@ def milliseconds(step: Callable[[], object], count: int) -> np.ndarray:
 def decoders(
     quantisation: Quantisation,
 ) -> Iterator[tuple[str, Callable[[OpenVlaNetwork], Decoder | WithoutGraph], int]]:
-    """Name, maker, and the actions that a step gives; from the first compiled one on, the network stays so."""
+    """Name, maker, and the actions that a step gives; from "ar" on products are fused, and from the first compiled one
+    on, the network stays so.
+    """
     if quantisation == "none":
         yield "ar, without its graph", WithoutGraph, 1
+        yield "ar, products apart", Autoregressive, 1
         yield "ar", Autoregressive, 1
         yield "parallel", Parallel, CHUNK
     yield "ar, compiled", Autoregressive, 1
@@ -103,10 +107,12 @@ def flying(report: Report, quantisations: Sequence[Quantisation], steps: int) ->
     report.table("One control step", "median", "p99", "rate", "to 10 Hz", "actions", "peak memory", "first answer")
     for quantisation in quantisations:
         with report.measuring(quantisation):
-            network = report.machine.network(CHUNK, quantisation)
+            network = report.machine.network(CHUNK, quantisation, fused=quantisation != "none")
             for name, make, actions in decoders(quantisation):
                 with report.measuring(f"{quantisation}, {name}"):
                     begin = time.perf_counter()
+                    if name == "ar":
+                        fuse(network.language_model.model.layers)
                     if name == "ar, compiled":
                         compile_blocks(network, report.machine.compiler)
                     step = control_step(make(network))
@@ -128,7 +134,7 @@ def both(report: Report, quantisations: Sequence[Quantisation], seconds: float) 
     )
     for quantisation in quantisations:
         with report.measuring(f"{quantisation}, together"):
-            network = report.machine.network(None, quantisation)
+            network = report.machine.network(None, quantisation, fused=True)
             compile_blocks(network, report.machine.compiler)
             step = control_step(Autoregressive(network))
             step()  # records, or compiles and records

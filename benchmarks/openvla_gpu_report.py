@@ -18,6 +18,7 @@ from cognitivedrone.benchmark.measurements import machine_of, measurement, read_
 from cognitivedrone.benchmark.runs.provenance import platform_facts
 from cognitivedrone.models.openvla.checkpoint import Quantisation
 from cognitivedrone.models.openvla.config import Config, tiny_config
+from cognitivedrone.models.openvla.fused import fuse
 from cognitivedrone.models.openvla.network import OpenVlaNetwork
 from cognitivedrone.models.openvla.weights import quantise, random_network
 
@@ -39,10 +40,14 @@ class Machine:
         """Whether the sizes are those of the 7B."""
         return self.device == "cuda"
 
-    def network(self, chunk: int | None = None, quantisation: Quantisation = "none") -> OpenVlaNetwork:
-        """An OpenVLA with random weights."""
+    def network(
+        self, chunk: int | None = None, quantisation: Quantisation = "none", *, fused: bool = False
+    ) -> OpenVlaNetwork:
+        """An OpenVLA with random weights, for flying with fused products."""
         config = Config(chunk=chunk) if self.large else tiny_config(chunk)
         made = random_network(config, self.device, self.dtype)
+        if fused:
+            fuse(made.language_model.model.layers)
         quantise(made.language_model.model.layers, quantisation, self.device)
         return made
 

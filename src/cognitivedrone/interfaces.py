@@ -35,6 +35,10 @@ class PlugIn:
     needs_seed: bool = False
     """Whether it draws random numbers. If so, contexts include a seed of its own."""
 
+    on_card: bool = False
+    """Whether each object holds a network on a graphics card where there is one, unless its argument `device` is cpu.
+    By default, no more processes than cards then fly."""
+
     reads_english_only: bool = False
     """Whether it knows English sentences alone. A person's sentence without one known word is not flown then."""
 

@@ -6,10 +6,11 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
+from cognitivedrone import registry
 from cognitivedrone.interfaces import Policy, Reasoner
 from cognitivedrone.plan import PilotSpec
-from cognitivedrone.policies import make_policy
-from cognitivedrone.reasoners import make_reasoner
+from cognitivedrone.policies import POLICIES, make_policy
+from cognitivedrone.reasoners import NONE, REASONERS, make_reasoner
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +25,11 @@ class Pilot:
         self.policy.check()
         if self.reasoner is not None:
             self.reasoner.check()
+
+
+def on_card(policy: str, reasoner: str = NONE) -> bool:
+    """Whether each pilot of these names holds a network on a graphics card; raises `PluginError`."""
+    return registry.on_card("policy", policy, POLICIES) or registry.on_card("reasoner", reasoner, REASONERS)
 
 
 @contextmanager

@@ -13,6 +13,7 @@ import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from multiprocessing.process import BaseProcess
+from types import MappingProxyType
 from typing import Final
 
 from cognitivedrone import system
@@ -42,29 +43,35 @@ def isolated() -> Iterator[None]:
 
 
 @contextmanager
-def _variables(values: Mapping[str, str]) -> Iterator[None]:
+def _variables(values: Mapping[str, str | None]) -> Iterator[None]:
     had = {name: os.environ.get(name) for name in values}
-    os.environ.update(values)
+    _set(values)
     try:
         yield
     finally:
-        for name, value in had.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        _set(had)
+
+
+def _set(values: Mapping[str, str | None]) -> None:
+    for name, value in values.items():
+        if value is None:
+            os.environ.pop(name, None)
+        else:
+            os.environ[name] = value
 
 
 @contextmanager
-def starting() -> Iterator[None]:
+def starting(variables: Mapping[str, str | None] = MappingProxyType({})) -> Iterator[None]:
     """Start processes here, and create the queues and locks that they share.
+
+    `variables` are those of their environment that differ from ours, None for one that they have not.
 
     Ctrl-C reaches the whole process group, and only this process handles it (`system.sparing_children`).
     """
     # The kernel goes by the thread that starts a process; only the main thread is sure to last.
     lasting = starter() if threading.current_thread() is threading.main_thread() else {STARTER: ""}
     # multiprocessing passes on this interpreter's flags, and takes no environment
-    with isolated(), _variables(lasting), system.sparing_children():
+    with isolated(), _variables({**lasting, **variables}), system.sparing_children():
         yield
 
 

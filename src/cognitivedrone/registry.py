@@ -204,6 +204,14 @@ def file_of(kind: str, text: str, table: Mapping[str, str], methods: Collection[
     return found
 
 
+def on_card(kind: str, text: str, table: Mapping[str, str]) -> bool:
+    """Whether each object of the plug-in holds a network on a graphics card: see `interfaces.PlugIn.on_card`."""
+    if text not in table and ":" not in text:
+        return False  # making it reports the unknown name
+    call = call_of(kind, text, table)
+    return bool(getattr(call.factory, "on_card", False)) and call.arguments.get("device") != "cpu"
+
+
 def _takes(function: Callable[..., Any], arguments: Mapping[str, Any]) -> bool:
     try:
         inspect.signature(function).bind(**arguments)

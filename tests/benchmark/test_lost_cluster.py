@@ -9,8 +9,11 @@ from typing import Any
 
 import pytest
 
+from cognitivedrone.benchmark.config import Plan
+from cognitivedrone.benchmark.runs import runner
 from cognitivedrone.errors import RunError
-from cognitivedrone.rollout import ray_pool
+from cognitivedrone.rollout import cards, ray_pool
+from cognitivedrone.rollout.cards import Cards
 from cognitivedrone.rollout.ray_pool import LOSSES, RayPool
 
 
@@ -33,15 +36,21 @@ class PlayedRay:
 
     def __init__(self, answer: Callable[[str, object], object]) -> None:
         self.actors = 0
+        self.gpus = 0.0
+        """Of the one node."""
+        self.reserved: dict[str, object] = {}
+        """By an actor."""
         self._answer = answer
 
     def nodes(self) -> list[dict[str, Any]]:
-        return [{"Alive": True, "Resources": {"CPU": 1.0}}]
+        return [{"Alive": True, "Resources": {"CPU": 1.0} | ({"GPU": self.gpus} if self.gpus else {})}]
 
     def put(self, thing: object) -> object:
         return thing
 
-    def remote(self, **_: object) -> Callable[[type], Any]:
+    def remote(self, **reserved: object) -> Callable[[type], Any]:
+        self.reserved = reserved
+
         def made(*_: object) -> SimpleNamespace:
             self.actors += 1
             return SimpleNamespace(
@@ -136,3 +145,35 @@ def test_no_node_that_opens_a_worker_ends_it_too(play) -> None:
     play(lambda name, item: None if name == "kill" else answer(name, item))
     with pytest.raises(RunError, match="no worker of the Ray cluster becomes ready; continue with --resume"), pool():
         pass
+
+
+@pytest.mark.parametrize(
+    ("policy", "asked", "there", "reserved"),
+    [
+        ("openvla:folder", None, 1.0, 1.0),
+        ("openvla:folder", None, 0.0, 0.0),  # it says itself what it needs
+        ("openvla:folder", 0.5, 1.0, 0.5),
+        ("openvla:folder,device=cpu", None, 1.0, 0.0),
+        ("small", None, 1.0, 0.0),
+    ],
+)
+def test_an_actor_reserves_a_gpu_for_a_network_on_one(
+    play, policy: str, asked: float | None, there: float, reserved: float
+) -> None:
+    ray = play(lambda name, item: None)
+    ray.gpus = there
+    plan = Plan.of(policy=policy, executor="ray", gpus_per_worker=asked)
+    flights: Any = SimpleNamespace(job=SimpleNamespace(plan=plan), title=str)
+    with runner._pool_of(flights, 1, None):
+        assert ray.reserved == {"num_cpus": 1, "num_gpus": reserved}
+
+
+def test_workers_by_default_are_as_many_as_the_cards_that_hold_the_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[int] = []
+    monkeypatch.setattr(runner, "ProcessPool", lambda flights, workers: made.append(workers))
+    monkeypatch.setattr(cards, "here", lambda: Cards(("0", "1")))
+    monkeypatch.setattr(cards, "cores", lambda: 8)
+    for policy, workers in (("openvla:folder", None), ("small", None), ("openvla:folder", 3)):
+        flights: Any = SimpleNamespace(job=SimpleNamespace(plan=Plan.of(policy=policy, workers=workers)))
+        runner._pool_of(flights, 300, None)
+    assert made == [2, 8, 3]

@@ -42,6 +42,7 @@ def test_every_path_runs_and_leaves_a_table(tmp_path, monkeypatch, capsys):
     names = [row["row"] for row in made.rows]
     assert names == [
         "none, ar, without its graph",
+        "none, ar, products apart",
         "none, ar",
         "none, parallel",
         "none, ar, compiled",

@@ -12,6 +12,7 @@ transformers = pytest.importorskip("transformers")
 
 from torch._dynamo.utils import counters  # noqa: E402
 
+from cognitivedrone.models.openvla.weights import quantise  # noqa: E402
 from cognitivedrone.models.qwen_decoder import Forms, QwenDecoder  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -137,6 +138,46 @@ def test_compiled_layers_share_their_code(model: Any) -> None:
     assert decode(question(0)) == wanted
     assert counters["stats"]["unique_graphs"] == 1
     torch.compiler.reset()
+
+
+@pytest.fixture(scope="module")
+def small(model: Any) -> Any:
+    """The same model in eight bits."""
+    pytest.importorskip("torchao")
+    made = copy.deepcopy(model)
+    quantise(made.model.language_model.layers, "int8", "cpu")
+    return made
+
+
+class TestEightBits:
+    """Weights of one byte, with a scale for each output, as in OpenVLA."""
+
+    def test_the_loop_answers_as_generate_does(self, small: Any) -> None:
+        forms = Forms(ANSWERS)
+        free, chosen = QwenDecoder(small, end=END, most=12), QwenDecoder(small, end=END, most=12, forms=forms)
+        for seed in range(4):
+            assert free(question(seed)) == generated(small, question(seed), 12)
+            assert chosen(question(seed)) == generated(small, question(seed), 12, forms)
+            assert chosen.passes == 2
+
+    def test_compiled_layers_answer_the_same(self, small: Any) -> None:
+        torch.compiler.reset()
+        counters.clear()
+        wanted = generated(small, question(0), 6)
+        assert QwenDecoder(copy.deepcopy(small), end=END, most=6, compiler="eager")(question(0)) == wanted
+        assert counters["stats"]["unique_graphs"] == 1
+        torch.compiler.reset()
+
+    def test_the_answers_are_near_those_of_whole_weights(self, model: Any, small: Any) -> None:
+        with torch.inference_mode():
+            exact, near = (
+                torch.cat([network(**question(seed)).logits[0, -1] for seed in range(8)]) for network in (model, small)
+            )
+        assert 0 < (near - exact).norm() / exact.norm() < 0.05
+        forms = Forms(ANSWERS)
+        decoders = [QwenDecoder(network, end=END, most=12, forms=forms) for network in (model, small)]
+        same = [decoders[0](question(seed)) == decoders[1](question(seed)) for seed in range(8)]
+        assert sum(same) >= 7
 
 
 def test_a_pass_is_one_function_of_tensors(model: Any) -> None:

@@ -77,7 +77,7 @@ def test_where_compiling_fails_it_is_said_and_the_network_flies_as_it_is(folder,
     plain = make_policy(f"openvla:{folder},device=cpu")
     torch.compiler.reset()
     monkeypatch.setattr(openvla, "warmed_up", partial(openvla.warmed_up, backend=failing))
-    with pytest.warns(RuntimeWarning, match="flies without being compiled, which is slower: .*no C compiler"):
+    with pytest.warns(RuntimeWarning, match="openvla is not compiled, which is slower: .*no C compiler"):
         policy = make_policy(f"openvla:{folder},device=cpu,compiled=yes")
     assert np.array_equal(policy.act(seen()), plain.act(seen()))
 

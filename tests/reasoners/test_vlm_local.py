@@ -163,6 +163,33 @@ def test_quantisation_names_its_extra(folder, monkeypatch):
         make_reasoner(f"vlm-local:{folder},bits=4,device=cpu")
 
 
+def test_eight_bits_are_decoded_by_our_loop_and_by_nothing_else(folder, monkeypatch):
+    pytest.importorskip("torchao")
+    if not folder.name.startswith("qwen2_5"):
+        monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+        with pytest.raises(MissingExtra, match="bitsandbytes"):
+            make_reasoner(f"vlm-local:{folder},bits=8,device=cpu")
+        return
+    whole, small = (cast(LocalVlm, make_reasoner(f"vlm-local:{folder},device=cpu{bits}")) for bits in ("", ",bits=8"))
+    assert isinstance(small._decode, QwenDecoder)
+    layers = small._model.model.language_model.layers
+    assert {module.weight.qdata.dtype for module in layers.modules() if isinstance(module, torch.nn.Linear)} == {
+        torch.int8
+    }
+    inputs = whole.inputs(frame(0), "Fly to 7")
+    with torch.inference_mode():
+        exact, near = (reasoner._model(**inputs).logits[0, -1] for reasoner in (whole, small))
+    assert 0 < (near - exact).norm() / exact.norm() < 0.05
+    assert len(small.answer(frame(0), "Fly to 7")) <= 40
+
+
+def test_eight_bits_name_their_extra(folder, monkeypatch):
+    if folder.name.startswith("qwen2_5"):
+        monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+        with pytest.raises(MissingExtra, match=r"torchao.*cognitivedrone\[vlm-local\]"):
+            make_reasoner(f"vlm-local:{folder},bits=8,device=cpu")
+
+
 def test_missing_transformers_names_its_extra(folder, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "transformers", None)
     with pytest.raises(MissingExtra, match=r"transformers.*cognitivedrone\[vlm-local\]"):

@@ -21,6 +21,8 @@ from quick_trainings import TINY_READER, QuickPolicyTraining, train_here
 from cognitivedrone.cli.training import last_success
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.small_vla import Flight, Head
+from cognitivedrone.rollout import cards
+from cognitivedrone.rollout.cards import Cards
 from cognitivedrone.training.reasoner.selector import SelectorRecipe
 from cognitivedrone.training.recipes import ALL_RECIPES, RECIPES, find_recipe
 from cognitivedrone.training.small_vla.flight import FlightRecipe
@@ -356,15 +358,20 @@ def test_ctrl_c_before_the_first_checkpoint_says_that_there_is_nothing_to_resume
             train_here(tmp_path / "run", training_of(start), seed=3)
 
 
-def test_the_stream_tells_how_it_begins(tmp_path: Path, start: Given) -> None:
-    """The process starts, its first flights fill the buffer, and only then comes a batch; Ctrl-C is not its own."""
+def test_the_stream_tells_how_it_begins(tmp_path: Path, start: Given, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The process starts, its first flights fill the buffer, and only then comes a batch; Ctrl-C is not its own.
+
+    It draws on the card of its rank, where there are several.
+    """
+    monkeypatch.setattr(cards, "here", lambda: Cards(("0", "1")))
     told: list[str] = []
     training_task = training_of(start)
-    with PrefetchQueue(training_task, tmp_path, seed=3, rank=0, first_round=0, waiting=told.append) as prefetch:
+    with PrefetchQueue(training_task, tmp_path, seed=3, rank=1, first_round=0, waiting=told.append) as prefetch:
         next(iter(prefetch))
         size = RECIPE.stream.batch * RECIPE.stream.pool
         assert prefetch._filled[1] == size
         assert _ignores_ctrl_c(prefetch._process.pid)
+        assert b"CUDA_VISIBLE_DEVICES=1" in Path(f"/proc/{prefetch._process.pid}/environ").read_bytes().split(b"\0")
     assert told
     allowed = {"starting the stream", "waiting for a batch"}
     assert all(text in allowed or re.fullmatch(rf"flying: \d+ of {size} samples", text) for text in told)

@@ -21,7 +21,7 @@ class AuditPlan(Options):
     only: tuple[str, ...] = ()
     """Names of the audits to fly, such as "wind"; all by default."""
     workers: Workers | None = None
-    """Number of worker processes; the number of cores by default."""
+    """Number of worker processes; by default as `bench`."""
     out: Path | None = None
     """Folder for the runs and the page; results/audit-<suite>-<policy>-<reasoner> by default. What is
     there is not flown again."""

@@ -38,14 +38,16 @@ class Plan(Options):
     rule: Rule = "through"
     """Scoring rule that the table and the report show first; results.json always contains both."""
     workers: Workers | None = field(default=None, metadata=_NEVER)
-    """Number of worker processes; the number of cores by default, and with ray as many as the cluster has room for.
-    Results do not depend on it. 0 flies in this process, for debugging; a policy that hangs is then never ended."""
+    """Number of worker processes; by default the number of cores, or of graphics cards where the pilot's network is on
+    one, and with ray as many as the cluster has room for. They are spread over the cards; results do not depend on
+    their number. 0 flies in this process, for debugging; a policy that hangs is then never ended."""
     executor: Literal["local", "ray"] = field(default="local", metadata=_NEVER)
     """Where the workers are: `local` processes, or the machines of a `ray` cluster."""
     cpus_per_worker: Count = field(default=1, metadata=_NEVER)
     """With ray: CPU cores that each worker reserves."""
-    gpus_per_worker: Annotated[float, Range(0)] = field(default=0.0, metadata=_NEVER)
-    """With ray: GPUs that each worker reserves; two workers with 0.5 share one."""
+    gpus_per_worker: Annotated[float, Range(0)] | None = field(default=None, metadata=_NEVER)
+    """With ray: GPUs that each worker reserves; two workers with 0.5 share one. By default one if the pilot's network
+    is on a GPU and the cluster has any, else none."""
     out: Path | None = field(default=None, metadata=_NEVER)
     """Folder for the results; results/<suite>-<policy>-<reasoner> by default."""
     resume: bool = field(default=False, metadata=_NEVER)
@@ -70,7 +72,7 @@ class Plan(Options):
             problem = f"--link {self.vehicle.link}: a real flight cannot be scored; fly it with cognitivedrone fly"
         elif kind == "gazebo" and workers not in (None, 0, 1):
             problem = f"--link gazebo has a single vehicle, so --workers {workers} is too many; leave it out"
-        elif not ray and (self.cpus_per_worker, self.gpus_per_worker) != (1, 0.0):
+        elif not ray and (self.cpus_per_worker, self.gpus_per_worker) != (1, None):
             problem = "--cpus-per-worker and --gpus-per-worker are for --executor ray; leave them out, or add it"
         elif ray and workers == 0:
             problem = "--workers 0 flies in this process; leave out --executor ray, or give at least one worker"
@@ -118,7 +120,7 @@ class SweepPlan(Options):
     episodes: Count | None = None
     """Number of episodes to fly, from the first; all by default."""
     workers: Workers | None = None
-    """Number of worker processes; the number of cores by default."""
+    """Number of worker processes; by default as `bench`."""
 
     def check(self) -> None:
         """Raise `RunError` where there is nothing to fly."""

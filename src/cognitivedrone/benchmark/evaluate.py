@@ -62,7 +62,7 @@ def evaluate(
 
     `policy` and `reasoner` are a name as on the command line ("small", "my_module:MyPolicy:weights.pt,device=cpu"), an
     object, or a class or function that makes one. Names, and classes and functions that another process can import,
-    fly in `workers` processes (default: the number of cores). Objects, and anything defined in a notebook or in the
+    fly in `workers` processes (by default as `bench`). Objects, and anything defined in a notebook or in the
     script itself, fly only in this process, with a message. `suite` is a name, a task file, or the `Plan` of a run,
     which may name the reasoner; the other options are those of `bench`, by name, such as `episodes` and `wind`.
 

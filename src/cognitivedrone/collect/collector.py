@@ -11,6 +11,7 @@ from typing import Any
 
 from rich.progress import Progress, SpinnerColumn, TaskID, TimeElapsedColumn
 
+from cognitivedrone import registry
 from cognitivedrone.cluster import import_ray
 from cognitivedrone.collect.config import CollectPlan
 from cognitivedrone.collect.fleet import FlownEpisode
@@ -22,11 +23,11 @@ from cognitivedrone.data.store_writer import StoreWriter
 from cognitivedrone.errors import DataError, RunError, did_you_mean
 from cognitivedrone.labels.folder import digest_of_labels
 from cognitivedrone.locks import sole_writer
-from cognitivedrone.policies import make_policy
+from cognitivedrone.policies import POLICIES, make_policy
 from cognitivedrone.progress import progress_bar
+from cognitivedrone.rollout import cards
 from cognitivedrone.rollout.pool import Pool, ProcessPool, WorkerCrash
 from cognitivedrone.rollout.ray_pool import RayPool
-from cognitivedrone.system import cores
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,8 +191,11 @@ def _count(ranges: Iterable[range]) -> int:
 
 def pool_of(job: Job, config: CollectPlan, most: int) -> Pool[list[int], FlownEpisode]:
     """The workers, at most so many."""
-    workers = config.workers or cores()
-    return RayPool(job, workers, most) if config.executor == "ray" else ProcessPool(job, min(workers, most))
+    heavy = config.policy is not None and registry.on_card("policy", config.policy, POLICIES)
+    workers = config.workers or cards.here().workers(on_card=heavy)
+    if config.executor == "ray":
+        return RayPool(job, workers, most, gpus=None if heavy else 0.0)
+    return ProcessPool(job, min(workers, most))
 
 
 def _resolve(config: CollectPlan) -> Job:

@@ -25,7 +25,8 @@ class CollectPlan(Options):
     """Number of episodes; if omitted, the recipe's (paper: 8,062)."""
     source: TaskSource = TaskSource(suite="open-v1:train")
     workers: Processes | None = None
-    """Number of processes, or of concurrent shards on a cluster; if omitted, one per CPU."""
+    """Number of processes, or of concurrent shards on a cluster; if omitted, one per CPU,
+    or one per graphics card where the policy's network is on one. They are spread over the cards."""
     resume: bool = False
     """Continue with the content of the folder."""
     episodes_per_shard: Count = EPISODES_PER_SHARD

@@ -43,6 +43,8 @@ class LeRobot(Policy):
     `MissingExtra` if LeRobot is not installed.
     """
 
+    on_card = True
+
     def __init__(self, folder: Path, *, device: Literal["cuda", "cpu"] | None = None) -> None:
         self.folder = Path(folder)
         check_features(self.folder, read_config(self.folder))

@@ -14,6 +14,7 @@ import numpy as np
 from cognitivedrone.errors import ModelError, NonFiniteAction, PluginError, PolicyError, import_extra
 from cognitivedrone.interfaces import Policy, attempt
 from cognitivedrone.models.card import remarks, why_none
+from cognitivedrone.models.compiling import compiled_or_plain
 from cognitivedrone.models.openvla import checkpoint as checkpoints
 from cognitivedrone.models.openvla.checkpoint import Checkpoint, DecoderName, Quantisation
 from cognitivedrone.models.openvla.config import IMAGE
@@ -59,6 +60,8 @@ class OpenVla(Policy):
     Raises `PolicyError` for an invalid argument or checkpoint, or too little memory, before the weights are loaded;
     `MissingExtra` if a package is missing.
     """
+
+    on_card = True
 
     def __init__(
         self,
@@ -173,7 +176,7 @@ def _decoder(options: Options, checkpoint: Checkpoint) -> Decoder:
     from cognitivedrone.models.openvla.weights import load
 
     dtype = torch.float32 if stored == 4 else torch.bfloat16
-    network = load(checkpoint, device, dtype, options.quant)
+    network = load(checkpoint, device, dtype, options.quant, fused=True)
     # Quantised weights are fast only if they are unpacked inside the multiplication, which takes a compiler.
     compiled = device == "cuda" if options.compiled is None else options.compiled
     lengths = _USUAL_LENGTHS if device == "cuda" or compiled else ()
@@ -204,15 +207,13 @@ def warmed_up(
 
     if not compiled:
         return made("recording OpenVLA")
-    compile_blocks(network, backend)
-    try:
+
+    def compiled_blocks() -> Decoder:
+        compile_blocks(network, backend)
         return made("compiling OpenVLA (once; kept on disk)")
-    except Exception as error:  # of the compiler, the C compiler that it calls, or the card's driver
-        line = " ".join(str(error).split())[:200]
-        warnings.warn(
-            f"policy openvla flies without being compiled, which is slower: {type(error).__name__}: {line}",
-            RuntimeWarning,
-            stacklevel=3,
-        )
-    uncompile(network)
-    return made("recording OpenVLA")
+
+    def plain_blocks() -> Decoder:
+        uncompile(network)
+        return made("recording OpenVLA")
+
+    return compiled_or_plain("policy openvla", compiled_blocks, plain_blocks, backend)

@@ -19,6 +19,7 @@ import numpy as np
 from cognitivedrone.errors import MissingExtra, ModelError, did_you_mean, import_extra
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.models.card import why_none
+from cognitivedrone.models.compiling import compiled_or_plain
 from cognitivedrone.reasoners.prompt import (
     MAX_TOKENS,
     answers,
@@ -48,12 +49,15 @@ class LocalVlm(Reasoner):
     """Image and instruction to the answer of a model in this process.
 
     `model` is a folder, or a name on the hub. Nothing is downloaded unless `download` is true. Weights are read from
-    safetensors, and code shipped with a model is never run. `tokens` limits an answer with its thinking; a reply that
-    reaches it is no answer. With `schema`, an answer is one of the schema's, and takes fewer passes of the network; by
-    default with the package's prompt and no thinking.
+    safetensors, and code shipped with a model is never run. With `bits=8`, the layers of Qwen2.5-VL's language model
+    hold one byte a weight, with a scale for each output; other models, and 4 bits, are quantised by bitsandbytes.
+    `tokens` limits an answer with its thinking; a reply that reaches it is no answer. With `schema`, an answer is one
+    of the schema's, and takes fewer passes of the network; by default with the package's prompt and no thinking.
 
     Raises `ModelError` for an invalid argument or a model that cannot be loaded, `MissingExtra` for a missing package.
     """
+
+    on_card = True
 
     def __init__(
         self,
@@ -142,6 +146,9 @@ class LocalVlm(Reasoner):
 
     def _load(self, name: str, loading: dict[str, Any], device: Any, dtype: str, bits: int | None) -> None:
         """Set the model, its tokenizer and its image processor."""
+        from cognitivedrone.models.openvla.weights import quantise
+        from cognitivedrone.models.qwen_decoder import FAMILY, Forms, QwenDecoder
+
         library = self._transformers
         config = library.AutoConfig.from_pretrained(name, **loading)
         if config.model_type not in FAMILIES:
@@ -152,11 +159,14 @@ class LocalVlm(Reasoner):
         if self._tokenizer.convert_tokens_to_ids(IMAGE_TOKEN) != self._image_token:
             raise ValueError(f"its tokenizer and its config.json disagree on the number of {IMAGE_TOKEN}")
         self._image_processor = library.AutoImageProcessor.from_pretrained(name, **loading)
-        extra = _quantised(library, self._torch, bits, device) if bits else {}
+        recorded = config.model_type == FAMILY and bits != 4
+        extra = _quantised(library, self._torch, bits, device) if bits and not recorded else {}
         model = library.AutoModelForImageTextToText.from_pretrained(
             name, config=config, dtype=getattr(self._torch, dtype), use_safetensors=True, **extra, **loading
         )
-        self._model = (model if bits else model.to(device)).eval()
+        if recorded and bits:
+            quantise(model.model.language_model.layers, "int8", device, "vlm-local")
+        self._model = (model if extra else model.to(device)).eval()
         # Our own configuration: those shipped with models enable sampling.
         self._decoding = library.GenerationConfig(
             max_new_tokens=self._tokens,
@@ -164,11 +174,9 @@ class LocalVlm(Reasoner):
             eos_token_id=self._tokenizer.convert_tokens_to_ids(_END),
             pad_token_id=self._tokenizer.pad_token_id,
         )
-        from cognitivedrone.models.qwen_decoder import FAMILY, Forms, QwenDecoder
-
         allowed = Forms([self._encode(text) + self._encode(_END) for text in answers()])
         self._forms = allowed if self._schema and allowed.longest <= self._tokens else None
-        if config.model_type == FAMILY and not bits and model.config._attn_implementation == "sdpa":
+        if recorded and model.config._attn_implementation == "sdpa":
             make = partial(
                 QwenDecoder,
                 self._model,
@@ -184,7 +192,7 @@ class LocalVlm(Reasoner):
         if device.type == "cuda":
             what = f"{bits} bits" if bits else f"a {config.model_type}"
             warnings.warn(
-                f"reasoner vlm-local: {name} is decoded by generate() ({what}); only Qwen2.5-VL without bits=... is"
+                f"reasoner vlm-local: {name} is decoded by generate() ({what}); only Qwen2.5-VL without bits=4 is"
                 " decoded by recorded CUDA graphs, several times faster",
                 RuntimeWarning,
                 stacklevel=3,
@@ -193,18 +201,13 @@ class LocalVlm(Reasoner):
     def _warm_up(self, make: Callable[..., Callable[[dict[str, Any]], list[int]]], compiler: str = "inductor") -> None:
         """Compile and record before take-off; where compiling fails, it is said, and the model is run as it is."""
         asked = self.inputs(np.zeros((IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8), "Fly through the gate")
-        self._decode = make(compiler=compiler)
-        try:
-            self._decode(asked)
-        except Exception as error:  # of the compiler, the C compiler that it calls, or the card's driver
-            line = " ".join(str(error).split())[:200]
-            warnings.warn(
-                f"reasoner vlm-local is not compiled, which is slower: {type(error).__name__}: {line}",
-                RuntimeWarning,
-                stacklevel=4,
-            )
-            self._decode = make()
-            self._decode(asked)
+
+        def made(compiler: str | None) -> Callable[[dict[str, Any]], list[int]]:
+            decode = make(compiler=compiler)
+            decode(asked)
+            return decode
+
+        self._decode = compiled_or_plain("reasoner vlm-local", lambda: made(compiler), lambda: made(None), compiler)
 
 
 def _quantised(library: Any, torch: Any, bits: int, device: Any) -> dict[str, Any]:

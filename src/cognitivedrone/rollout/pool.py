@@ -27,6 +27,8 @@ from typing import Any, Generic, Protocol, Self, TypeVar
 from cognitivedrone import system
 from cognitivedrone.errors import CognitiveDroneError, FirstFrameError, RunError, plain_warnings
 from cognitivedrone.processes import end_with_parent, starting
+from cognitivedrone.rollout import cards
+from cognitivedrone.rollout.cards import Cards
 from cognitivedrone.temporary import TemporaryFolder
 
 JOIN_TIMEOUT_S = 5.0
@@ -201,6 +203,8 @@ class _Worker:
     """Shared float: see `CallClock`."""
     crash_file: Path
     """File for the traceback of Python's fault handler."""
+    number: int
+    """From 0; that of the worker whose place it takes."""
     renderer: str | None = None
     """None until its simulator is ready."""
     item: Any = None
@@ -219,7 +223,7 @@ class _Worker:
 
 
 class ProcessPool(Pool[Item, Answer]):
-    """Flies in `workers` processes."""
+    """Flies in `workers` processes: worker i on graphics card i modulo n, where the machine has n of them."""
 
     def __init__(self, work: Work[Item, Answer], workers: int) -> None:
         self._work = work
@@ -227,26 +231,29 @@ class ProcessPool(Pool[Item, Answer]):
         self._context = multiprocessing.get_context("spawn")
         self._folder = TemporaryFolder()
         self._hired = 0
+        self._cards = cards.here() if workers > 1 else Cards()
+        if remark := self._cards.remark():
+            warnings.warn(remark, RuntimeWarning, stacklevel=2)
         self._workers: list[_Worker] = []
         try:
-            for _ in range(workers):
-                self._workers.append(self._start_worker())
+            for number in range(workers):
+                self._workers.append(self._start_worker(number))
         except BaseException:
             self.stop()
             raise
 
-    def _start_worker(self) -> _Worker:
-        """A new worker process."""
+    def _start_worker(self, number: int) -> _Worker:
+        """A new worker process, on the card of its number."""
         self._hired += 1
         began = self._context.RawValue(c_double, 0.0)
         file = self._folder.path / f"worker-{self._hired}.txt"
         ours, theirs = self._context.Pipe()
         process = self._context.Process(target=_work, args=(theirs, began, file, self._work), daemon=True)
-        with starting():  # without ctrl-C: this process shuts them down in order
+        with starting(self._cards.of_worker(number)):  # without ctrl-C: this process shuts them down in order
             process.start()
         # With our copy of the worker's end closed, its death closes the stream.
         theirs.close()
-        return _Worker(process, ours, began, file)
+        return _Worker(process, ours, began, file, number)
 
     def ready(self) -> None:
         """As `Pool.ready`."""
@@ -277,7 +284,7 @@ class ProcessPool(Pool[Item, Answer]):
                 if worker not in self._workers:
                     continue
                 if worker.connection.closed:
-                    self._workers[self._workers.index(worker)] = self._start_worker()
+                    self._workers[self._workers.index(worker)] = self._start_worker(worker.number)
                 elif came is None:
                     self._give(worker, todo)
                 if came is not None:

@@ -21,6 +21,7 @@ from cognitivedrone.cluster import ray_cluster
 from cognitivedrone.errors import CognitiveDroneError, RunError
 from cognitivedrone.printable import visible
 from cognitivedrone.rollout.pool import JOIN_TIMEOUT_S, Answer, Item, Pool, ProcessPool, Work, WorkerCrash, WorkerLost
+from cognitivedrone.sim.renderers import REMEMBERED, VISIBLE
 
 _LONGEST = 300  # characters of Ray's own text
 LOSSES = 3
@@ -51,6 +52,8 @@ class Actor:
                 f"node {platform.node()} would fly another run: {differing}; "
                 "give every node the same files at the same paths and the same versions"
             )
+        if os.environ.get(VISIBLE):  # the cards that Ray gave; the process that began the run may draw on others
+            os.environ.pop(REMEMBERED, None)
         self._pool = ProcessPool(self._work, 1)
         self._pool.ready()
 
@@ -68,16 +71,19 @@ class Actor:
 class RayPool(Pool[Item, Answer]):
     """Flies on a Ray cluster, in `workers` actors, or as many as it has room for, but at most `most`.
 
-    Each actor reserves `cpus` and `gpus`.
+    Each actor reserves `cpus` and `gpus`; None for a whole GPU, if the cluster has any. It sees those alone that
+    Ray gave it.
     """
 
     def __init__(
-        self, work: Work[Item, Answer], workers: int | None, most: int, *, cpus: int = 1, gpus: float = 0.0
+        self, work: Work[Item, Answer], workers: int | None, most: int, *, cpus: int = 1, gpus: float | None = 0.0
     ) -> None:
         self._work = work
         self._stack = ExitStack()
         self._ray: Any = self._stack.enter_context(ray_cluster(RunError))
         try:
+            if gpus is None:
+                gpus = 1.0 if _room(self._ray, cpus, 1.0) else 0.0
             room = _room(self._ray, cpus, gpus)
             # A number that was asked for may be more than there is room for now: a cluster may grow.
             self.size = min(workers or room, most)

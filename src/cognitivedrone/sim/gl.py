@@ -32,7 +32,7 @@ from cognitivedrone.sim import contexts, renderers
 from cognitivedrone.system import OPENGL, OPENGL_TEST, after_fork, c_library
 
 BACKENDS: Final = tuple(OPENGL)
-_REMEMBERED: Final = "COGNITIVEDRONE_GL"
+_REMEMBERED: Final = renderers.REMEMBERED
 _INSTALL: Final = next(iter(OPENGL.values()))
 _EGL_PLATFORM_SURFACELESS_MESA: Final = 0x31DD  # EGL_MESA_platform_surfaceless
 _PROBE: Final = f"""

@@ -13,7 +13,10 @@ CHOICE: Final = "COGNITIVEDRONE_RENDERER"
 """The variable by which a person chooses: cpu or gpu."""
 DEVICE: Final = "MUJOCO_EGL_DEVICE_ID"
 """MuJoCo's variable for the number of EGL's device."""
-_VISIBLE: Final = "CUDA_VISIBLE_DEVICES"
+VISIBLE: Final = "CUDA_VISIBLE_DEVICES"
+"""CUDA's variable for the cards that a process may use."""
+REMEMBERED: Final = "COGNITIVEDRONE_GL"
+"""The variable by which a process tells its children what it found that draws."""
 _SOFTWARE: Final = re.compile(r"llvmpipe|softpipe|swrast|software|swiftshader|lavapipe", re.IGNORECASE)
 
 
@@ -41,7 +44,7 @@ def chosen() -> str:
 
 def cards_hidden() -> bool:
     """Whether `CUDA_VISIBLE_DEVICES` hides all cards, which are then another program's."""
-    value = os.environ.get(_VISIBLE)
+    value = os.environ.get(VISIBLE)
     return value is not None and (not value.strip() or value.strip().startswith("-"))
 
 
@@ -79,10 +82,10 @@ def why(renderer: str) -> str:
         return f"{CHOICE}={wish}"
     software = on_processor(renderer)
     if cards_hidden():
-        hides = f"{_VISIBLE} hides all cards"
+        hides = f"{VISIBLE} hides all cards"
         return hides if software else f"{hides}, but nothing else draws here"
     if software:
         return "OpenGL finds no graphics card"
-    if re.search("[A-Za-z]", os.environ.get(_VISIBLE, "")):
-        return f"OpenGL's first card, since it does not know the names in {_VISIBLE}; {DEVICE} chooses another"
+    if re.search("[A-Za-z]", os.environ.get(VISIBLE, "")):
+        return f"OpenGL's first card, since it does not know the names in {VISIBLE}; {DEVICE} chooses another"
     return f"OpenGL's first card; {CHOICE}=cpu draws on the processor"

@@ -194,6 +194,11 @@ def is_mine(facts: os.stat_result) -> bool:
     return not hasattr(os, "geteuid") or facts.st_uid == os.geteuid()
 
 
+def is_private(facts: os.stat_result) -> bool:
+    """Whether nobody but this user may use a file or folder by its mode; on Windows, every one: it has no such mode."""
+    return not hasattr(os, "geteuid") or (is_mine(facts) and not facts.st_mode & 0o077)
+
+
 # Signals.
 
 HANG_UP: Final[int] = getattr(signal, "SIGHUP", 0)

@@ -14,6 +14,7 @@ from torch._dynamo.utils import counters  # noqa: E402
 from cognitivedrone.models.openvla.compiled import compile_blocks, uncompile  # noqa: E402
 from cognitivedrone.models.openvla.config import PATCHES, Config, tiny_config  # noqa: E402
 from cognitivedrone.models.openvla.decode import Autoregressive, Parallel, Runner, chunk_actions, greedy_tokens  # noqa: E402
+from cognitivedrone.models.openvla.fused import fuse  # noqa: E402
 from cognitivedrone.models.openvla.network import IGNORED  # noqa: E402
 from cognitivedrone.models.openvla.prepare import ImagePreparation  # noqa: E402
 from cognitivedrone.models.openvla.weights import empty_network, quantise, random_network  # noqa: E402
@@ -98,6 +99,20 @@ def test_padding_changes_no_chunk(network):
     assert torch.allclose(alone, padded, atol=1e-5)
     decoded = Parallel(network)(some_pixels()[0], IDS)
     assert np.allclose(decoded, alone[0].clamp(-1, 1), atol=1e-5)
+
+
+def test_fused_products_answer_the_same_in_every_way(network):
+    """Words and chunks, alone and together, with keys and values that several heads share, and with padding."""
+    config = tiny_config(chunk=3)
+    shared = replace(config.language, num_key_value_heads=config.language.num_attention_heads // 2)
+    pixels = np.concatenate([some_pixels(seed) for seed in range(2)])
+    prompts = [IDS, [*IDS, *range(400, 440)]]
+    for made in (copy.deepcopy(network), random_network(replace(config, language=shared), seed=2)):
+        decoders = [Autoregressive(made), Parallel(made)]
+        wanted = [decode.together(pixels, prompts) for decode in decoders]
+        fuse(made.language_model.model.layers)
+        for decode, answers in zip(decoders, wanted, strict=True):
+            assert np.allclose(decode.together(pixels, prompts), answers, atol=1e-5)
 
 
 def test_every_number_of_a_chunk_sees_the_last_word_and_every_other_number(network):
@@ -213,6 +228,17 @@ class TestCompiledBlocks:
             assert decode.tokens(pixels, IDS).tolist() == wanted
             assert counters["stats"]["unique_graphs"] == graphs[-1]
         assert graphs == [4, 4]  # a block of each tower, a layer for the prompt, a layer for a word
+
+    def test_fused_products(self):
+        made = self.deep(2)
+        pixels = some_pixels(1)[0]
+        wanted = Autoregressive(made).tokens(pixels, IDS).tolist()
+        fuse(made.language_model.model.layers)
+        assert Autoregressive(made).tokens(pixels, IDS).tolist() == wanted
+        counters.clear()
+        compile_blocks(made, "eager")
+        assert Autoregressive(made).tokens(pixels, IDS).tolist() == wanted
+        assert counters["stats"]["unique_graphs"] == 4
 
     def test_int8(self):
         pytest.importorskip("torchao")

@@ -85,6 +85,24 @@ def test_the_words_and_the_velocities_agree(golden, checkpoint, network):
     assert np.array_equal(checkpoint.statistics.flown(from_tokens(words)), golden["actions"])
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
+def test_fused_products_say_the_same_words(golden, checkpoint, dtype):
+    plain, fused = (load(checkpoint, "cpu", dtype, fused=fused) for fused in (False, True))
+    said = [
+        Autoregressive(network).tokens(golden["pixel_values"][0], golden["input_ids"][0].tolist()).tolist()
+        for network in (plain, fused)
+    ]
+    assert said[0] == said[1]
+    if dtype == torch.float32:
+        assert said[1] == golden["generated"].tolist()
+    names = {name.rpartition(".")[2] for name, _ in fused.named_modules() if name.endswith("_proj")}
+    assert names == {"qkv_proj", "o_proj", "gate_up_proj", "down_proj"}
+    with torch.no_grad():
+        ids, pixels = torch.from_numpy(golden["input_ids"]), torch.from_numpy(golden["pixel_values"])
+        exact, near = (network(ids, pixels).logits.float() for network in (plain, fused))
+    assert (near - exact).norm() / exact.norm() < (1e-5 if dtype == torch.float32 else 2e-2)
+
+
 def test_the_loss_agrees(golden, network, inputs):
     ids, labels = torch.from_numpy(golden["train_input_ids"]), torch.from_numpy(golden["train_labels"])
     with torch.no_grad():

@@ -34,12 +34,12 @@ from cognitivedrone.benchmark.scores.scoring import counts, passes
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import check_no_link, safe_name, writing
 from cognitivedrone.interrupts import watched
-from cognitivedrone.pilot import Pilot
+from cognitivedrone.pilot import Pilot, on_card
 from cognitivedrone.printable import shown_address
 from cognitivedrone.progress import progress_bar
+from cognitivedrone.rollout import cards
 from cognitivedrone.rollout.pool import InProcess, Pool, ProcessPool, WorkerCrash
 from cognitivedrone.rollout.ray_pool import RayPool
-from cognitivedrone.system import cores
 from cognitivedrone.terminal import console
 from cognitivedrone.types import EpisodeResult, Track
 from cognitivedrone.vehicles.external import LinkReport
@@ -141,9 +141,11 @@ def _pool_of(flights: Flights, most: int, pilot: Pilot | None) -> Pool[Wanted, R
         return InProcess(flights, PilotRunner(flights.job, pilot=pilot))
     if plan.workers == 0 or plan.vehicle.kind == "gazebo":
         return InProcess(flights)
+    heavy = on_card(plan.pilot.policy, plan.pilot.reasoner)
     if plan.executor == "ray":
-        return RayPool(flights, plan.workers, most, cpus=plan.cpus_per_worker, gpus=plan.gpus_per_worker)
-    return ProcessPool(flights, min(plan.workers or cores(), most))
+        gpus = 0.0 if plan.gpus_per_worker is None and not heavy else plan.gpus_per_worker
+        return RayPool(flights, plan.workers, most, cpus=plan.cpus_per_worker, gpus=gpus)
+    return ProcessPool(flights, min(plan.workers or cards.here().workers(on_card=heavy), most))
 
 
 def _fly_missing(

@@ -30,6 +30,7 @@ from cognitivedrone.models.openvla.checkpoint import (
     Quantisation,
 )
 from cognitivedrone.models.openvla.config import Config, write_config
+from cognitivedrone.models.openvla.fused import fuse
 from cognitivedrone.models.openvla.network import OpenVlaNetwork
 from cognitivedrone.models.openvla.tensors import head_tensors, own_name, published_name, used_tensors
 
@@ -63,12 +64,18 @@ def random_network(
 
 
 def load(
-    checkpoint: Checkpoint, device: str | torch.device, dtype: torch.dtype, quantisation: Quantisation = "none"
+    checkpoint: Checkpoint,
+    device: str | torch.device,
+    dtype: torch.dtype,
+    quantisation: Quantisation = "none",
+    *,
+    fused: bool = False,
 ) -> OpenVlaNetwork:
     """The network of a checkpoint, loaded directly to its device, with one copy of each tensor.
 
     Do not cast it afterwards: the rotary frequencies stay in float32. A network to be quantised is read on the host,
-    and each layer moves once quantised. Raises `MissingExtra` for quantisation without torchao.
+    and each layer moves once quantised. One that is `fused` is for flying alone: see `fused.fuse`.
+    Raises `MissingExtra` for quantisation without torchao.
     """
     reading = torch.device("cpu") if quantisation != "none" else torch.device(device)
     network = empty_network(checkpoint.config)
@@ -81,7 +88,10 @@ def load(
         head = _read(checkpoint.head, list(head_tensors(checkpoint.config)), reading, dtype)
         state |= {HEAD_PREFIX + name: value for name, value in head.items()}
     network.load_state_dict(state, strict=True, assign=True)
+    state.clear()  # what is joined is not to be held twice
     network.eval()
+    if fused:
+        fuse(network.language_model.model.layers)
     quantise(network.language_model.model.layers, quantisation, device)
     _give_rotation(network, device)
     return network.to(device)
@@ -109,16 +119,16 @@ def save(network: OpenVlaNetwork, folder: Path, statistics: Mapping[str, ActionS
     replace_file(folder / CONFIG, f"{json.dumps(table, indent=2)}\n".encode())
 
 
-def quantise(layers: nn.Module, quantisation: Quantisation, device: str | torch.device) -> None:
+def quantise(layers: nn.Module, quantisation: Quantisation, device: str | torch.device, extra: str = "openvla") -> None:
     """Quantise the weight matrices of a language model's layers, on `device`; activations stay unquantised.
 
     OpenVLA's towers, projector and embeddings keep their precision: they are a seventh of the weights.
-    Raises `MissingExtra` if torchao is not installed (0.14 or newer, for 4 bits).
+    Raises `MissingExtra`, which names the package's `extra`, if torchao is not installed (0.14 or newer, for 4 bits).
     """
     if quantisation == "none":
         return
     if importlib.util.find_spec("torchao") is None:
-        raise MissingExtra("torchao", "openvla")
+        raise MissingExtra("torchao", extra)
     library: Any = importlib.import_module("torchao.quantization")
     if quantisation == "int8":
         config = library.Int8WeightOnlyConfig()

@@ -13,6 +13,7 @@ from torch import nn
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.processes import end_with_parent, starting
+from cognitivedrone.rollout import cards
 from cognitivedrone.training.trainer.checkpoint import read_checkpoint, restore
 from cognitivedrone.training.trainer.training_task import Batch, TrainingTask, Watched
 
@@ -51,11 +52,12 @@ class PrefetchQueue:
             self._queue = context.Queue(_AHEAD)
             self._filled = context.Array("q", 2)
         self._waiting = waiting
+        self._variables = cards.here().of_worker(rank)  # it draws where the training process of that rank computes
         arguments = (self._queue, self._filled, training_task, out, seed, rank, first_round)
         self._process = context.Process(target=_generate, args=arguments, daemon=True)
 
     def __enter__(self) -> PrefetchQueue:
-        with starting():  # without ctrl-C: only the trainer may respond
+        with starting(self._variables):  # without ctrl-C: only the trainer may respond
             self._process.start()
         return self
 
