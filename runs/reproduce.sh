@@ -62,15 +62,18 @@ measure() { # NAME SCRIPT OPTIONS...
   "$python" "$here/benchmarks/$script.py" "$@" --out "$results/$name.json"
 }
 
-# The pilot: reading panels, the reasoner's choice, language, flying, flying anywhere; and the baseline without language.
+# The pilot: reading panels, the reasoner's choice, language, flying, flying anywhere, also in places; and the baseline without language.
 train reader reader
 train selector "$selector" --start "$out/reader/reader.safetensors"
 train language "$language" --start "$out/selector/checkpoint.safetensors"
 train small small --start "$out/language/checkpoint.safetensors"
 train flight flight --start "$out/small/checkpoint.safetensors"
+train places places --start "$out/flight/checkpoint.safetensors"
 train race race
-mkdir -p "$out/reasoner"
-cp -p "$out"/selector/*.onnx "$out"/flight/{panel_reader,language,text_encoder}.onnx "$out/reasoner"
+for part in flight places; do
+  mkdir -p "$out/reasoner-$part"
+  cp -p "$out"/selector/*.onnx "$out/$part"/{panel_reader,language,text_encoder}.onnx "$out/reasoner-$part"
+done
 
 # What a fixed set of the expert's flights is worth against flights made during training; the paper has 8,062.
 for flights in "${sets[@]}"; do
@@ -79,8 +82,8 @@ for flights in "${sets[@]}"; do
 done
 train stream small --start "$out/language/checkpoint.safetensors" --steps 1000
 
-policy=small:$out/flight/model.onnx
-reasoner=small:$out/reasoner
+policy=small:$out/places/model.onnx
+reasoner=small:$out/reasoner-places
 race=race:$out/race/model.onnx
 
 # results/PILOT.json: every suite, held-out ones first; then the same pilot under other conditions. results/bench_time.json
@@ -102,6 +105,13 @@ bench small_oracle open-v1:test --policy "$policy" --reasoner oracle
 if [[ $everything ]]; then
   bench small open-v1:test+varied --policy "$policy" --appearance varied
   bench small open-v1:test+wind --policy "$policy" --wind 0.5
+  for suite in open-v3:places open-v1:test; do
+    bench small "$suite+places" --policy "$policy" --appearance photo --place kept
+    bench r1 "$suite+places" --policy "$policy" --reasoner "$reasoner" --appearance photo --place kept
+    bench small_without_places "$suite+places" --policy "small:$out/flight/model.onnx" --appearance photo --place kept
+    bench r1_without_places "$suite+places" --policy "small:$out/flight/model.onnx" \
+      --reasoner "small:$out/reasoner-flight" --appearance photo --place kept
+  done
   bench r1 open-v1:test+guard --policy "$policy" --reasoner "$reasoner" --guard
   bench oracle open-v1:test+iris --policy oracle --airframe iris
   bench colour_seeker_oracle open-v1:test+varied --policy colour_seeker --reasoner oracle --appearance varied
@@ -169,8 +179,8 @@ if [[ $everything ]]; then
   measure collect_paper collect_paper "$out/paper-set"
   [[ -e $results/exports.json ]] || rm -rf "$out/exports"
   measure exports exports "$out/paper-set" "$out/exports"
-  measure inference inference "$out/flight/model.onnx"
-  measure reading reading --reader "$out/flight/checkpoint.safetensors" --sets held-out
+  measure inference inference "$out/places/model.onnx"
+  measure reading reading --reader "$out/places/checkpoint.safetensors" --sets held-out
   measure data_reading data_reading "$out/flights-${sets[-1]}"
   measure mission_end mission_end --policy "$policy" --reasoner "$reasoner"
   measure real_time real_time --policy "$policy" --reasoner "$reasoner" --seconds 60

@@ -21,6 +21,7 @@ from score_tables import (
     families,
     from_data,
     gazebo_scores,
+    in_places,
     latencies,
     leaderboard_table,
     lessons,
@@ -134,6 +135,7 @@ TABLES: Final[dict[str, Description]] = {
             "`--suite open-v1:track`: 20 tracks of 5 stages": ("open-v1:track", {}),
         },
     ),
+    "places": in_places,
     "small-speed": lines_of(
         ("a decision, median", "99th percentile", "loading", "memory of the process", "file"),
         Line(

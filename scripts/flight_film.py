@@ -1,6 +1,7 @@
 """The README's moving picture, docs/images/flight.webp: the film of a recorded or a new flight of the packaged pilot.
 
 Run: python scripts/flight_film.py [--suite open-v1:track] [--episode 0] [--policy small] [--reasoner small]
+         [--place lobby]
 
 The pictures are those of `cognitivedrone film`. The same version of package and renderer gives the same picture.
 """
@@ -31,6 +32,7 @@ class Config:
     episode: int = 0
     policy: str = "small"
     reasoner: str = "small"
+    place: str = "lobby"
     stages: int = 3
     """Stages of a track that are shown."""
     width: int = 800
@@ -42,7 +44,7 @@ class Config:
 
 def main(config: Config) -> None:
     """Fly, film, write."""
-    job = resolve(Plan.of(suite=config.suite, policy=config.policy, reasoner=config.reasoner))
+    job = resolve(Plan.of(suite=config.suite, policy=config.policy, reasoner=config.reasoner, place=config.place))
     runner = PilotRunner(job)
     flown, scenes = runner.fly(config.episode, film=True), scenes_of(runner.track_runner)
     runner.close()

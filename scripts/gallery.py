@@ -2,20 +2,26 @@
 
 Run: python scripts/gallery.py [FAMILY ...]
 
-Without arguments every family is drawn. The pictures are the same for the same version of the package and renderer.
+Without arguments every family is drawn, and the README's row of what the drone sees. The pictures are the same for the
+same version of the package and renderer.
 """
 
 from __future__ import annotations
 
+import itertools
 import sys
 import tempfile
 from pathlib import Path
 
+import numpy as np
 from PIL import Image
 
 from cognitivedrone.cli import main as cognitivedrone
+from cognitivedrone.envs.worlds import Worlds
+from cognitivedrone.plan import Scenario
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.tasks.format import write_tasks
+from cognitivedrone.world.places import names
 
 FROM_BEHIND_PX = 34 + 480 + 24
 """Height of the third view, with its title and margin: it shows little that the first does not."""
@@ -45,6 +51,11 @@ TASKS = {
     "landing": ("open-v3:missions", 1),
 }
 """Suite and episode of the task that stands for a family."""
+PLACES = dict(zip(TASKS, itertools.cycle(names("training")), strict=False))
+"""Where each is photographed."""
+ROW = (("open-v1:test", 12, "lobby"), ("open-v1:test", 11, "park"), ("open-v1:test", 13, "workshop"))
+ROW_PLAIN = ("open-v1:test", 1)
+"""The README's row: three tasks in places and one as the benchmark shows it."""
 
 
 def draw(family: str) -> Path:
@@ -57,15 +68,29 @@ def draw(family: str) -> Path:
         if family == "landing":  # not the first of its track
             write_tasks(Path(folder) / "landing.json", track[-1:])
             shown = ["--tasks", f"{folder}/landing.json"]
-        cognitivedrone(["view", *shown, "--out", str(drawn)])
+        cognitivedrone(["view", *shown, "--place", PLACES[family], "--out", str(drawn)])
         with Image.open(drawn) as picture:
             short = picture.crop((0, 0, picture.width, picture.height - FROM_BEHIND_PX))
             short.reduce(2).save(out, quality=72, method=6)
     return out
 
 
+def draw_row() -> Path:
+    """Write the README's row of what the drone sees: 256 x 256 pixels each."""
+    seen = []
+    for suite, episode, *place in (*ROW, ROW_PLAIN):
+        with Worlds.of(Scenario(suite=suite, place="".join(place))) as worlds:
+            worlds.begin(0, load_suite(suite), episode, 0)
+            seen += [worlds.runners[0].world.frame(), np.full((256, 8, 3), 255, np.uint8)]
+    out = FOLDER.parent / "first_person.webp"
+    Image.fromarray(np.hstack(seen[:-1])).save(out, quality=80, method=6)
+    return out
+
+
 def main() -> None:
     FOLDER.mkdir(parents=True, exist_ok=True)
+    if not sys.argv[1:]:
+        print(draw_row())
     for family in sys.argv[1:] or TASKS:
         print(draw(family))
 

@@ -112,7 +112,7 @@ def other_conditions(*pilots: str) -> Description:
 def flags_of(run: SubmittedRun) -> str:
     """What a run's command had besides the pilot."""
     flags = {"track": "--track", "guard": "--guard", "appearance": "--appearance {}", "airframe": "--airframe {}"}
-    flags |= {"wind_m_s": "--wind {:g}", "latency": "--latency {}", "link": "--link {}", "seed": "--seed {}"}
+    flags |= {"place": "--place {}", "wind_m_s": "--wind {:g}", "latency": "--latency {}", "link": "--link {}", "seed": "--seed {}"}
     defaults = {name: default for name, (_, default) in Plan.identity_options().items()}
     given = {name: run.run.option(name) for name in flags if run.run.option(name) != defaults[name]}
     return " ".join([f"--suite {run.run.suite.name}", *(flags[name].format(value) for name, value in given.items())])
@@ -130,6 +130,29 @@ def runs_of(pilot: str, heads: Sequence[str], lines: Mapping[str, tuple[str, Map
         return Table([*heads, "passed", "rate", "95 % interval", "success given choice"], rows)
 
     return describe
+
+
+KEPT = {"appearance": "photo", "place": "kept"}
+"""Options of runs in the places that no model is trained in."""
+LOST = ("out_of_bounds", "timeout")
+
+
+def in_places(store: Store) -> Table:
+    """The packaged pilots in kept places, before they were trained in others and now, and how flights end there."""
+    rows = []
+    for suite in ("open-v3:places", "open-v1:test"):
+        for pilot in ("small", "r1"):
+            for file, when in ((f"{pilot}_without_places", "before"), (pilot, "now")):
+                found = store.summary(file, suite, **KEPT)
+                score = found and found.overall
+                ends = [_ended(score, "wrong_gate"), _ended(score, "collision"), _ended(score, *LOST)]
+                rows.append([f"`{suite}`", f"`{pilot}`", when, *passed(score), *ends])
+    heads = ["tasks, in kept places", "pilot", "", "passed", "rate", "95 % interval", "wrong gate", "collisions", "lost"]
+    return Table(heads, rows)
+
+
+def _ended(score: Score | None, *outcomes: str) -> str:
+    return share(sum(score.outcomes.get(each, 0) for each in outcomes) / score.n) if score and score.n else ""
 
 
 def categories(pilot: str, published: str) -> Description:

@@ -29,13 +29,36 @@ from cognitivedrone.apps.mjpeg import MOST_VIEWERS, FrameServer
 from cognitivedrone.apps.orders import Keyboard, Orders, landing_on_interrupt
 from cognitivedrone.apps.values import Ending, Status, Step, Summary
 from cognitivedrone.apps.view import EVENTS_SHOWN, Instruments, Printer, summary_table
+from cognitivedrone.benchmark.config import Plan
+from cognitivedrone.cli.scoring import ViewPlan
 from cognitivedrone.errors import CameraError, LinkError, RunError
 from cognitivedrone.interrupts import until_asked
+from cognitivedrone.play.config import PlayPlan
 from cognitivedrone.types import Event, EventKind, Guidance, Observation
+from cognitivedrone.vehicles import check_vehicle
 from cognitivedrone.vehicles.camera import open_camera
 from cognitivedrone.vehicles.mavlink.client.tlog import TlogWriter
 
 ACTION = np.array([1.25, -0.5, 0.25, 0.4], dtype=np.float32)
+
+
+def test_what_people_watch_is_in_places_and_the_benchmark_stays_plain() -> None:
+    assert FlyPlan().scenario.appearance == PlayPlan().scenario.appearance == "photo"
+    assert FlyPlan.of(link="sitl").scenario.appearance == "photo"
+    assert FlyPlan.of(appearance="plain").scenario.appearance == "plain"
+    assert FlyPlan.of(place="hall").scenario.place == "hall"
+    assert Plan().scenario.appearance == ViewPlan().scenario.appearance == "plain"
+
+
+def test_a_vehicle_with_surroundings_of_its_own_asks_for_none() -> None:
+    plan = FlyPlan.of(link="gazebo", airframe="iris")
+    assert plan.scenario.appearance == "plain"
+    check_vehicle(plan.vehicle, plan.scenario)
+    asked = FlyPlan.of(link="gazebo", airframe="iris", place="hall")
+    with pytest.raises(RunError, match="Gazebo worlds have no photographed places"):
+        check_vehicle(asked.vehicle, asked.scenario)
+    real = FlyPlan.of(instruction="x", link="mavlink:udp:127.0.0.1:14550", camera="/dev/video0")
+    assert real.scenario.appearance == "plain"
 
 
 def step(time_s: float, **status: object) -> Step:

@@ -17,6 +17,8 @@ from cognitivedrone.system import CAMERA
 TimeLimit = Annotated[float, Range(0.1, unit="s")]
 AUTO = "auto"
 """Suite name: choose a suite that shows what the instruction asks for."""
+SHOWN = Scenario(suite=AUTO, appearance="photo")
+"""What is flown for people to watch: in photographed places. The benchmark stays plain, as published."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +27,7 @@ class FlyPlan(Options):
 
     instruction: tyro.conf.Positional[str] = ""
     """What to do; in a simulated scene, the scene's own instruction by default."""
-    scenario: Scenario = Scenario(suite=AUTO)
+    scenario: Scenario = SHOWN
     pilot: PilotSpec = PilotSpec(reasoner="small")
     vehicle: VehicleSpec = VehicleSpec()
     safety: SafetySpec = SafetySpec()
@@ -66,6 +68,9 @@ class FlyPlan(Options):
             )
         if camera and not real:
             raise LinkError(f"--link {self.vehicle.link} has its own camera; leave --camera out")
+        drawn = self.vehicle.kind in ("sim", "sitl")  # others have surroundings of their own
+        if not drawn and self.scenario.appearance == "photo" and not self.scenario.place:
+            object.__setattr__(self, "scenario", self.scenario.changed(appearance="plain"))
 
 
 @dataclass(frozen=True, slots=True)

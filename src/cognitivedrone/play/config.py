@@ -7,7 +7,7 @@ from pathlib import Path
 
 import tyro
 
-from cognitivedrone.apps.config import AUTO, TimeLimit
+from cognitivedrone.apps.config import SHOWN, TimeLimit
 from cognitivedrone.plan import Options, PilotSpec, Scenario
 from cognitivedrone.ranges import Port, Share
 
@@ -32,7 +32,7 @@ class PlayPlan(Options):
 
     runs: tyro.conf.Positional[tuple[Path, ...]] = ()
     """Folders of recorded runs of `bench` to look at, side by side; without any, fly."""
-    scenario: Scenario = Scenario(suite=AUTO)
+    scenario: Scenario = SHOWN
     pilot: PilotSpec = PilotSpec(reasoner="small")
     page: PageSpec = PageSpec()
     hold_below: Share = 0.5
