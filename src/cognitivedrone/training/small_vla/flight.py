@@ -45,6 +45,7 @@ FLIGHT = FlightRecipe(
 PLACES = replace(
     FLIGHT,
     name="places",
+    steps=3_000,
     learning_rate=3e-4,
     stream=StreamRecipe(typed=0.5, layouts=0.4, places=0.5, sentences=2),
 )
