@@ -35,8 +35,7 @@ check:
 
 tests:
 	@$(PYTHON) scripts/setup.py dev
-	@# Three on two cores: what flies by the wall clock mostly waits.
-	$(RUN)/pytest -n 3 --dist worksteal --durations 400 --durations-min 1.5
+	$(RUN)/pytest -n 2 --dist worksteal --durations 400 --durations-min 1.5
 
 test: check tests
 
