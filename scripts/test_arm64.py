@@ -117,18 +117,8 @@ def main() -> None:
     step("environment", *here, "python3", "-m", "venv", "--clear", "/root/venv")
     source = "/root/cognitivedrone[serve,mavlink]"
     step("installation", *here, "/root/venv/bin/pip", "install", "--quiet", "--only-binary", ":all:", source)
-    fly = [
-        "/root/venv/bin/cognitivedrone",
-        "bench",
-        "--suite",
-        "open-v1:smoke",
-        "--policy",
-        "small",
-        "--workers",
-        "1",
-        "--clips",
-        "0",
-    ]
+    fly = ["/root/venv/bin/cognitivedrone", "bench", "--suite", "open-v1:smoke", "--policy", "small"]
+    fly += ["--workers", "1", "--clips", "0"]
     step("tasks", *here, *fly, "--episodes", options.episodes, "--out", "/root/smoke", "--overwrite")
     results = json.loads((system / "root" / "smoke" / "results.json").read_text(encoding="utf-8"))
     print(json.dumps(results["platform"], indent=1))
