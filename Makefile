@@ -2,7 +2,7 @@
 # make test            environment, all checks, all tests
 # make docs            the documentation as a site: build/site/index.html
 # make gate            .ci/run, which every commit of the main branch has passed, from a clean clone of HEAD
-# make release-check   the rest, from a clean clone of HEAD: slow tests, reproduction in small, other Pythons and versions, image
+# make release-check   the rest, from a clean clone of HEAD: slow tests, reproduction in small, other Pythons and versions, image, ARM64 in qemu
 # make test-hard       whether the tests depend on anything but the code: three times, on a busy machine, in random order,
 #                      after a kill; two hours or so. PARTS="tests/files tests/labels" takes these tests alone
 # make lock            constraints.txt from pyproject.toml; UPGRADE=1 takes the newest of everything
@@ -35,8 +35,7 @@ check:
 
 tests:
 	@$(PYTHON) scripts/setup.py dev
-	@# Three on two cores: what flies by the wall clock mostly waits.
-	$(RUN)/pytest -n 3 --dist worksteal --durations 400 --durations-min 1.5
+	$(RUN)/pytest -n 2 --dist worksteal --durations 400 --durations-min 1.5
 
 test: check tests
 

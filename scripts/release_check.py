@@ -17,6 +17,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import test_arm64
+
 ROOT = Path(__file__).resolve().parent.parent
 VERSIONS = ["3.11", "3.12", "3.13", "3.14"]
 
@@ -48,6 +50,10 @@ def image() -> Step:
     return Step("image", ["sh", "-c", command], "" if reachable else "no Docker engine runs here")
 
 
+def arm64() -> Step:
+    return Step("ARM64 in emulation", [sys.executable, "scripts/test_arm64.py"], test_arm64.missing())
+
+
 def steps() -> list[Step]:
     """The steps, what is most likely to fail first."""
     own = f"{sys.version_info.major}.{sys.version_info.minor}"
@@ -68,6 +74,7 @@ def steps() -> list[Step]:
         Step("lowest versions", ["make", "test-lowest"]),
         Step("newest versions", ["make", "test-newest"]),
         image(),
+        arm64(),
     ]
 
 

@@ -72,8 +72,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for item in items:
             if item.get_closest_marker("card"):
                 item.add_marker(pytest.mark.skip(reason="needs a graphics card: make test-card"))
-    # What flies by the wall clock mostly waits: first, so that it waits beside what computes, and not at the end alone.
-    items.sort(key=lambda item: "vehicles" not in item.path.parts)
     if seed := config.getoption("--shuffle"):
         modules = [list(tests) for _, tests in itertools.groupby(items, key=lambda item: item.path)]
         numbers = random.Random(seed)

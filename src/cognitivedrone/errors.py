@@ -195,10 +195,12 @@ class CameraError(CognitiveDroneError):
 
 
 class MissingExtra(CognitiveDroneError):
-    """An optional dependency is not installed."""
+    """An optional dependency is not installed; one that no extra has is installed by its own name."""
 
-    def __init__(self, package: str, extra: str) -> None:
-        super().__init__(f"{package} is not installed; it comes with cognitivedrone[{extra}]: {install_command(extra)}")
+    def __init__(self, package: str, extra: str | None) -> None:
+        of = "" if extra is None else f"; it comes with cognitivedrone[{extra}]"
+        command = f"{_installer()[0]} {package}" if extra is None else install_command(extra)
+        super().__init__(f"{package} is not installed{of}: {command}")
 
 
 def _remade(kind: type[CognitiveDroneError], arguments: tuple[Any, ...], state: dict[str, Any]) -> CognitiveDroneError:
@@ -226,6 +228,18 @@ def install_command(extra: str) -> str:
 
     A checkout, wheel or repository is reinstalled from the same place; the package index is used only if it was before.
     """
+    command, origin = _installer()
+    source = parse_json(origin)
+    url = source.get("url", "")
+    if source.get("dir_info", {}).get("editable"):
+        return f"{command} -e {shlex.quote(unquote(urlsplit(url).path) + f'[{extra}]')}"
+    if revision := source.get("vcs_info"):
+        url = f"{revision['vcs']}+{url}@{revision['commit_id']}"
+    return f"{command} {shlex.quote(f'cognitivedrone[{extra}]' + (f' @ {url}' if url else ''))}"
+
+
+def _installer() -> tuple[str, str]:
+    """The command that installs into this environment, and where this package came from (direct_url.json)."""
     from importlib import metadata
 
     installer, origin = "pip", "{}"
@@ -234,14 +248,7 @@ def install_command(extra: str) -> str:
         installer = (this.read_text("INSTALLER") or "pip").strip()
         origin = this.read_text("direct_url.json") or "{}"
     python = shlex.quote(sys.executable)
-    command = f"uv pip install --python {python}" if installer == "uv" else f"{python} -m pip install"
-    source = parse_json(origin)
-    url = source.get("url", "")
-    if source.get("dir_info", {}).get("editable"):
-        return f"{command} -e {shlex.quote(unquote(urlsplit(url).path) + f'[{extra}]')}"
-    if revision := source.get("vcs_info"):
-        url = f"{revision['vcs']}+{url}@{revision['commit_id']}"
-    return f"{command} {shlex.quote(f'cognitivedrone[{extra}]' + (f' @ {url}' if url else ''))}"
+    return f"uv pip install --python {python}" if installer == "uv" else f"{python} -m pip install", origin
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -125,9 +125,9 @@ def read_table(text: str, wanted: Collection[str]) -> Any:
 
     Comma, semicolon (Excel where a comma is the decimal sign) or tab; Excel's own first line `sep=;` says which.
     """
-    told = re.match(r'"?sep=([^"\r\n])"?\r?\n', text)
-    body = text[told.end() :] if told else text
-    separators = told[1] if told else _SEPARATORS
+    declared = re.match(r'"?sep=([^"\r\n])"?\r?\n', text)
+    body = text[declared.end() :] if declared else text
+    separators = declared[1] if declared else _SEPARATORS
     first = body[:_FIRST_LINE].lstrip("\r\n").partition("\n")[0]
     chosen = separators[0]
     for separator in separators:

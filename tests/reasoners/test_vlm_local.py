@@ -157,16 +157,19 @@ def test_a_prompt_file_and_bfloat16(folder, tmp_path):
     assert len(reasoner.answer(frame(0), "Find 9")) <= 40
 
 
-def test_quantisation_names_its_extra(folder, monkeypatch):
+def test_quantisation_names_its_extra_and_what_no_extra_has(folder, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(MissingExtra, match=r"bitsandbytes.*cognitivedrone\[vlm-local\]"):
+    with pytest.raises(MissingExtra, match=r"accelerate.*cognitivedrone\[vlm-local\]"):
+        make_reasoner(f"vlm-local:{folder},bits=4,device=cpu")
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "bitsandbytes" else object())
+    with pytest.raises(MissingExtra, match=r"^bitsandbytes is not installed: .*install.* bitsandbytes$"):
         make_reasoner(f"vlm-local:{folder},bits=4,device=cpu")
 
 
 def test_eight_bits_are_decoded_by_our_loop_and_by_nothing_else(folder, monkeypatch):
     pytest.importorskip("torchao")
     if not folder.name.startswith("qwen2_5"):
-        monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+        monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "bitsandbytes" else object())
         with pytest.raises(MissingExtra, match="bitsandbytes"):
             make_reasoner(f"vlm-local:{folder},bits=8,device=cpu")
         return

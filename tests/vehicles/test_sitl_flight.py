@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -193,22 +194,22 @@ def test_a_process_flies_in_lock_step_and_is_replaced_when_it_dies(tmp_path, mon
     flight = SitlFlight(played_arducopter(tmp_path))
     try:
         flight.begin(Start((-1.0, 0.0, 0.8)))
-        before = flight.report.frames
+        before = flight.report  # on a busy machine its first start may have taken too long
         path = fly(flight, (1.0, 0.0, 0.0, 0.0), 1.0)
         assert path.shape == (100, 3)
-        assert flight.report == LinkReport(before + 400, 0, 0)
+        assert flight.report == replace(before, frames=before.frames + 400)
         assert 0.2 < path[-1, 0] + 1.0 < 1.0
         assert np.abs(np.diff(path[:, 0])).max() < 0.02
-        processes[0].kill()
+        processes[-1].kill()
         flight.advance(TICKS_PER_CONTROL)
         assert flight.diverged
         assert "ended with -9, its last line of output: parameters read" in flight.trouble
         flight.begin(Start((-1.0, 0.0, 0.8)))
         assert not flight.diverged
-        assert flight.report.restarts == 1
+        assert flight.report.restarts == len(processes) - 1 > before.restarts
     finally:
         flight.close()
-    assert [process.poll() is not None for process in processes] == [True, True]
+    assert all(process.poll() is not None for process in processes)
 
 
 @needs_arducopter

@@ -103,8 +103,8 @@ def decode_picture(
     except UnidentifiedImageError:
         raise error(f"{named} cannot be read as PNG, JPEG or WebP: it is damaged; copy or save it again") from None
     except Exception as reason:  # Pillow raises many kinds for broken files
-        said = visible(" ".join(str(reason).split())[:200]) or type(reason).__name__
-        raise error(f"{named} cannot be read as PNG, JPEG or WebP: {said}; copy or save it again") from None
+        text = visible(" ".join(str(reason).split())[:200]) or type(reason).__name__
+        raise error(f"{named} cannot be read as PNG, JPEG or WebP: {text}; copy or save it again") from None
     white = Image.new("RGBA", image.size, "white")
     white.alpha_composite(image)
     return white.convert("RGB")

@@ -212,9 +212,9 @@ class LocalVlm(Reasoner):
 
 def _quantised(library: Any, torch: Any, bits: int, device: Any) -> dict[str, Any]:
     """Loading arguments for 8 or 4 bits; raises `MissingExtra`."""
-    for package in ("bitsandbytes", "accelerate"):
+    for package, extra in (("accelerate", "vlm-local"), ("bitsandbytes", None)):
         if importlib.util.find_spec(package) is None:
-            raise MissingExtra(package, "vlm-local")
+            raise MissingExtra(package, extra)
     config = library.BitsAndBytesConfig(
         load_in_8bit=bits == 8,
         load_in_4bit=bits == 4,

@@ -53,19 +53,19 @@ class Cards:
 def here(root: Path = ROOT) -> Cards:
     """The cards of NVIDIA's that this machine or container has, without those that `CUDA_VISIBLE_DEVICES` hides."""
     kinds = _kinds(root)
-    told = os.environ.get(VISIBLE)
-    if told is None:
+    listed = os.environ.get(VISIBLE)
+    if listed is None:
         return Cards(tuple(map(str, range(len(kinds)))), _each_once(kinds))
     # As CUDA reads it: up to the first that is not there.
-    names = tuple(takewhile(lambda name: _is_there(name, len(kinds)), map(str.strip, told.split(","))))
+    names = tuple(takewhile(lambda name: _is_there(name, len(kinds)), map(str.strip, listed.split(","))))
     return Cards(names, _each_once(kinds) if len(names) == len(kinds) else ())
 
 
 def _kinds(root: Path) -> Sequence[str]:
     """The kind of each card; empty where only the number of cards is known."""
-    told = sorted(root.glob("proc/driver/nvidia/gpus/*/information"))
-    if told:
-        return [_kind(file) for file in told]
+    files = sorted(root.glob("proc/driver/nvidia/gpus/*/information"))
+    if files:
+        return [_kind(file) for file in files]
     # Some containers have the devices alone: nvidia0, nvidia1, beside nvidiactl and others.
     return ["" for _ in root.glob("dev/nvidia[0-9]*")]
 

@@ -54,7 +54,7 @@ def parse_directive(text: str) -> tuple[Size | None, Color | None, Shape | None]
 
 def fitting_gate(text: str, gates: Sequence[Gate]) -> int | None:
     """Index of the only gate that a directive fits; None if it fits none or several, or does not describe a gate."""
-    said = parse_directive(text)
+    asked = parse_directive(text)
     looks = [(gate.size, gate.color, gate.shape) for gate in gates]
-    fits = [all(mine in (None, its) for mine, its in zip(said, look, strict=True)) for look in looks]
-    return fits.index(True) if any(said) and sum(fits) == 1 else None
+    fits = [all(mine in (None, its) for mine, its in zip(asked, look, strict=True)) for look in looks]
+    return fits.index(True) if any(asked) and sum(fits) == 1 else None

@@ -168,12 +168,12 @@ def label_words(label: str) -> Mapping[str, int]:
 
 def asks_the_same(sentence: str, task: Task) -> bool:
     """Whether a sentence matches a task: its instruction, its directive, or its right gate's appearance alone."""
-    said = _plain(sentence)
-    if said in (_plain(task.instruction), _plain(task.directive)):
+    plain = _plain(sentence)
+    if plain in (_plain(task.instruction), _plain(task.directive)):
         return True
     if task.target is None:
         return False
-    if said == _plain(write_directive(task.gates[task.target])):
+    if plain == _plain(write_directive(task.gates[task.target])):
         return True
     return not asked_words(sentence) and fitting_gate(sentence, task.gates) == task.target
 

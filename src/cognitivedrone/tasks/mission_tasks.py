@@ -89,7 +89,7 @@ def _is_plain(goal: SubGoal) -> bool:
 
 
 def _track(rng: np.random.Generator, sentence: str, stages: Sequence[tuple[_Stage, str]]) -> Track:
-    return tuple(replace(_task(rng, stage, said), mission=sentence) for stage, said in stages)
+    return tuple(replace(_task(rng, stage, phrase), mission=sentence) for stage, phrase in stages)
 
 
 def _said(stage: _Stage) -> str:
@@ -151,8 +151,8 @@ def _clause(draw: Draw) -> tuple[str, _Stage]:
         family = draw.pick(_FAMILIES)
         puzzle = generator(family)(replace(draw, target=0))
         if puzzle.board is None and _CLAUSE.fullmatch(puzzle.instruction) and len(puzzle.instruction) < 90:
-            said = puzzle.instruction
-            return said[0].lower() + said[1:], _Stage(puzzle.panels, family)
+            phrase = puzzle.instruction
+            return phrase[0].lower() + phrase[1:], _Stage(puzzle.panels, family)
 
 
 def _thing(draw: Draw, name: str, others: Sequence[str], **more: Color) -> _Stage:
@@ -162,15 +162,15 @@ def _thing(draw: Draw, name: str, others: Sequence[str], **more: Color) -> _Stag
 
 def _pad(draw: Draw) -> tuple[str, _Stage]:
     color = draw.pick(COLORS)
-    said = draw.pick(("land on the {} pad", "touch down on the {} pad", "come down on the {} pad"))
-    return said.format(color), _Stage(None, "landing", pad=color)
+    phrase = draw.pick(("land on the {} pad", "touch down on the {} pad", "come down on the {} pad"))
+    return phrase.format(color), _Stage(None, "landing", pad=color)
 
 
 def _sequence(draw: Draw) -> tuple[str, list[_Stage]]:
     parts = [_clause(draw) for _ in range(2 if draw.chance(0.5) else 3)]
     if draw.chance(0.7):
         parts.append(_pad(draw))
-    first, *middle, last = (said for said, _ in parts)
+    first, *middle, last = (phrase for phrase, _ in parts)
     form = draw.pick(
         (("First {}", ", then {}", ", and finally {}"), ("Start with this: {}", "; after that {}", "; then {}"),
          ("{}", ", then {}", ", then {}"), ("To begin with, {}", ", afterwards {}", ", and at the end {}"))
@@ -181,22 +181,22 @@ def _sequence(draw: Draw) -> tuple[str, list[_Stage]]:
 
 def _twice(draw: Draw) -> tuple[str, list[_Stage]]:
     name, *others = draw.sample(PLAIN_THINGS, 5)
-    said, stage = _pad(draw) if draw.chance(0.5) else _clause(draw)
+    phrase, stage = _pad(draw) if draw.chance(0.5) else _clause(draw)
     stages = [_thing(draw, name, others[:2]), _thing(draw, name, others[2:]), stage]
-    return f"Fly through the gate with the {words(name)} {draw.pick(('twice', 'two times'))}, then {said}", stages
+    return f"Fly through the gate with the {words(name)} {draw.pick(('twice', 'two times'))}, then {phrase}", stages
 
 
 def _condition(draw: Draw) -> tuple[str, list[_Stage]]:
     wanted, spare, *others = draw.sample(PLAIN_THINGS, 4)
     there = draw.chance(0.5)
     stage = _thing(draw, wanted, [spare, others[0]]) if there else _thing(draw, spare, others)
-    said, last = _pad(draw) if draw.chance(0.6) else _clause(draw)
+    phrase, last = _pad(draw) if draw.chance(0.6) else _clause(draw)
     noun = f"{article(words(wanted))} {words(wanted)}"
     form = draw.pick(
         ("If there is {0}, take it, otherwise the {1}; then {2}",
          "First, if you see {0}, fly to it, otherwise to the {1}, then {2}")
     )  # fmt: skip
-    return form.format(noun, words(spare), said), [stage, last]
+    return form.format(noun, words(spare), phrase), [stage, last]
 
 
 def _constraint(draw: Draw) -> tuple[str, list[_Stage]]:
@@ -223,8 +223,8 @@ def _memory(draw: Draw) -> tuple[str, list[_Stage]]:
     )[back]
     text = f"First the {words(names[0])}, then the {words(names[1])}, then {again}"
     if draw.chance(0.5):
-        said, stage = _pad(draw)
-        return f"{text}, and finally {said}", [*stages, stage]
+        phrase, stage = _pad(draw)
+        return f"{text}, and finally {phrase}", [*stages, stage]
     return text, stages
 
 

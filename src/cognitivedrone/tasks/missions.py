@@ -303,8 +303,8 @@ def _flown(piece: str, before: Sequence[SubGoal], *, several: bool) -> list[SubG
     """The sub-goals of one part: more than one if it is to be flown several times."""
     times = _TIMES.search(piece) if several or re.match(rf"\W*{_GO}\b", piece, re.I) else None
     text = _TIMES.sub("", piece).strip(" ,") if times else piece
-    said = "" if times is None else (times["once"] or times["count"]).lower()
-    count = min(_MANY, 1 if times is None else int(said) if said.isdecimal() else _COUNTS[said])
+    word = "" if times is None else (times["once"] or times["count"]).lower()
+    count = min(_MANY, 1 if times is None else int(word) if word.isdecimal() else _COUNTS[word])
     condition = _IF.match(text)
     if condition:
         act = condition["act"].strip()
@@ -323,9 +323,9 @@ def _landing(piece: str, color: Color | None) -> str:
     """The directive of a landing, or what is no pad as it was said: "Land on the yellow pad"."""
     place = _PLACE.search(piece)
     if place is not None and (place["pad"] is not None or color is None):
-        said = (place["pad"] or place["other"] or "").lower()
-        if not _ANY_PAD.issuperset(said.split()):
-            return f"Land on the {said.strip()}" + (" pad" if place["pad"] else "")
+        name = (place["pad"] or place["other"] or "").lower()
+        if not _ANY_PAD.issuperset(name.split()):
+            return f"Land on the {name.strip()}" + (" pad" if place["pad"] else "")
     return pad_directive(color)
 
 

@@ -31,7 +31,7 @@ def claims() -> tuple[Claim, ...]:
     return make_claims(table(), phrases())
 
 
-def make_claims(facts: Table, said: Phrases) -> tuple[Claim, ...]:
+def make_claims(facts: Table, worded: Phrases) -> tuple[Claim, ...]:
     """A claim for each value of a table.
 
     Raises `TaskError` for a value without phrases, and for phrases of a property or value that the table lacks: one of
@@ -42,9 +42,9 @@ def make_claims(facts: Table, said: Phrases) -> tuple[Claim, ...]:
         closed = frozenset(thing for thing, names in facts.closed.items() if name in names)
         entries = {thing: each[name] for thing, each in facts.entries.items() if name in each}
         values = sorted({value for entry in entries.values() for value in entry.values})
-        known = [value for other, value in said.exact if other == name]
+        known = [value for other, value in worded.exact if other == name]
         for value in values:
-            phrases_ = said.of(name, value)
+            phrases_ = worded.of(name, value)
             if not phrases_:
                 raise TaskError(
                     f"value {value!r} of {name} has no phrases; {did_you_mean(value, known)} (or add a row for it to "
@@ -52,10 +52,10 @@ def make_claims(facts: Table, said: Phrases) -> tuple[Claim, ...]:
                 )
             true = frozenset(thing for thing, entry in entries.items() if value in entry.values)
             debatable = frozenset(thing for thing, entry in entries.items() if value in entry.debatable)
-            head = said.heads.get((name, value), "")
+            head = worded.heads.get((name, value), "")
             made.append(Claim(name, value, phrases_, head, true, closed - true - debatable))
         if unused := sorted(set(known).difference(values)):
             raise TaskError(f"phrases.csv: no thing has {name} {unused[0]!r}; {did_you_mean(unused[0], values)}")
-    if strange := sorted({name for name, _ in said.exact} - facts.properties.keys()):
+    if strange := sorted({name for name, _ in worded.exact} - facts.properties.keys()):
         raise TaskError(f"phrases.csv: unknown property {strange[0]!r}; {did_you_mean(strange[0], facts.properties)}")
     return tuple(made)

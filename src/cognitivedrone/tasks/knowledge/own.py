@@ -53,7 +53,7 @@ def own_claims(path: Path, things: Iterable[str], wordings: Path | None = None) 
     Raises `TaskError` in one sentence for a malformed file, an unknown or repeated concept, and a value of a shipped
     property that is not in the table and has no phrases.
     """
-    facts, said = table(), phrases()
+    facts, worded = table(), phrases()
     extra = load_phrases(wordings) if wordings is not None else None
     rows = read_rows(path, ("concept",), spelled=facts.properties)
     if not rows:
@@ -62,14 +62,14 @@ def own_claims(path: Path, things: Iterable[str], wordings: Path | None = None) 
     _check_columns(path, columns)
     own = tuple(name for name in columns if name not in facts.properties)
     entries = _entries(rows, tuple(dict.fromkeys(things)))
-    said = _with(said, extra, own, entries)
-    _check_values(rows, facts, said)
+    worded = _with(worded, extra, own, entries)
+    _check_values(rows, facts, worded)
     grown = _grown(facts, own, columns, entries)
     # A shipped row was written with the shipped values in mind: of new ones it says nothing.
     known = {(name, value) for name in facts.properties for value in facts.values(name)}
     return tuple(
         claim if (claim.property, claim.value) in known else replace(claim, false=claim.false & entries.keys())
-        for claim in make_claims(grown, _used(said, grown))
+        for claim in make_claims(grown, _used(worded, grown))
     )
 
 
@@ -107,10 +107,10 @@ def _plain(name: str) -> str:
 
 
 def _with(
-    said: Phrases, extra: Phrases | None, own: tuple[str, ...], entries: Mapping[str, Mapping[str, Entry]]
+    worded: Phrases, extra: Phrases | None, own: tuple[str, ...], entries: Mapping[str, Mapping[str, Entry]]
 ) -> Phrases:
     """The phrases, with the user's and with default ones for the values of the user's own properties."""
-    exact, patterns, heads = dict(said.exact), dict(said.any), dict(said.heads)
+    exact, patterns, heads = dict(worded.exact), dict(worded.any), dict(worded.heads)
     if extra is not None:
         for key, texts in extra.exact.items():
             exact[key] = tuple(dict.fromkeys((*exact.get(key, ()), *texts)))
@@ -128,11 +128,11 @@ def _with(
     return Phrases(MappingProxyType(exact), MappingProxyType(patterns), MappingProxyType(heads))
 
 
-def _check_values(rows: list[Row], facts: Table, said: Phrases) -> None:
+def _check_values(rows: list[Row], facts: Table, worded: Phrases) -> None:
     for row in rows:
         for name, entry in parse_row(row).items():
             for value in sorted(entry.values | entry.debatable):
-                if name in facts.properties and not said.of(name, value):
+                if name in facts.properties and not worded.of(name, value):
                     raise TaskError(
                         f"{row.where}: {name} {value!r} is not in the table; {did_you_mean(value, facts.values(name))} "
                         "(or use a column of your own)"
@@ -154,8 +154,8 @@ def _grown(
     return Table(properties, MappingProxyType(grown), MappingProxyType(closed))
 
 
-def _used(said: Phrases, facts: Table) -> Phrases:
+def _used(worded: Phrases, facts: Table) -> Phrases:
     """The phrases of values that some thing has: a row of the user's may have replaced the only one."""
     values = {name: frozenset(facts.values(name)) for name in facts.properties}
-    exact = {key: texts for key, texts in said.exact.items() if key[1] in values.get(key[0], ())}
-    return Phrases(MappingProxyType(exact), said.any, said.heads)
+    exact = {key: texts for key, texts in worded.exact.items() if key[1] in values.get(key[0], ())}
+    return Phrases(MappingProxyType(exact), worded.any, worded.heads)
