@@ -167,6 +167,20 @@ def test_a_place_is_drawn_the_same_each_time_and_only_where_it_is_asked_for():
     assert np.abs(np.diff(turned.astype(int), axis=2)).mean() < across
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_pads_are_seen_on_the_ground_of_a_place(seed):
+    look = photo_appearance(np.random.default_rng(seed), ["sunset"])
+    red, green, blue = (Gate("big", "round", color) for color in ("red", "green", "blue"))
+    frames = []
+    with Cameras(1) as cameras:
+        for gates in ((red, green, blue), (green, blue, red)):
+            stage = Stage(gates, STAGE.labels, landing=True)
+            cameras.set_stage(0, stage, PICTURES, appearance=look)
+            frames.append(cameras.first_person([[0.0, 0.0, 1.5]], [[1.0, 0.0, 0.0, 0.0]]).copy().astype(int))
+    differ = np.abs(frames[0] - frames[1]).max(axis=-1)[0] > 40
+    assert [part.sum() > 200 for part in np.array_split(differ, 3, axis=1)] == [True] * 3
+
+
 def test_a_stage_with_a_board_is_drawn_in_a_place():
     look, board = photo_appearance(np.random.default_rng(1), ["hall"]), np.full((64, 128, 3), 255, np.uint8)
     pose = [[-1.0, 0.0, 0.75]], [[1.0, 0.0, 0.0, 0.0]]

@@ -56,7 +56,6 @@ def fill_scene(
     they move and rotate with it.
     """
     scene.ngeom = 0
-    home = np.array([*stage.origin, 0.0])
     level = rotation_matrix(quaternion_from_yaw(stage.yaw))
     centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
     for index in geometry.standing(stage):
@@ -81,16 +80,18 @@ def fill_scene(
     if stage.landing:
         for gate, center in zip(stage.gates, centers, strict=True):
             _add_pad(scene, center, appearance.gate_colors[COLORS.index(gate.color)])
-    _add_surroundings(scene, assets, home, level, appearance, panorama)
+    _add_surroundings(scene, assets, stage, level, appearance, panorama)
     _set_light(scene, level, appearance)
 
 
 def _add_surroundings(
-    scene: Any, assets: Assets, home: FloatArray, level: FloatArray, appearance: Appearance, panorama: int
+    scene: Any, assets: Assets, stage: Stage, level: FloatArray, appearance: Appearance, panorama: int
 ) -> None:
     """Floor and room, or the place of the appearance, whose texture is `panorama`."""
+    home = np.array([*stage.origin, 0.0])
     if appearance.place:
-        around_x, around_y = appearance.place_tilt
+        # Pads lie on level ground: a tilted one would cover them.
+        around_x, around_y = (0.0, 0.0) if stage.landing else appearance.place_tilt
         tilt = np.array([1.0, around_x / 2, around_y / 2, 0.0])
         axes = level @ rotation_matrix(tilt / np.linalg.norm(tilt))
         axes = axes @ rotation_matrix(quaternion_from_yaw(appearance.place_turn))
