@@ -112,7 +112,8 @@ def other_conditions(*pilots: str) -> Description:
 def flags_of(run: SubmittedRun) -> str:
     """What a run's command had besides the pilot."""
     flags = {"track": "--track", "guard": "--guard", "appearance": "--appearance {}", "airframe": "--airframe {}"}
-    flags |= {"place": "--place {}", "wind_m_s": "--wind {:g}", "latency": "--latency {}", "link": "--link {}", "seed": "--seed {}"}
+    flags |= {"place": "--place {}", "wind_m_s": "--wind {:g}", "latency": "--latency {}", "link": "--link {}"}
+    flags["seed"] = "--seed {}"
     defaults = {name: default for name, (_, default) in Plan.identity_options().items()}
     given = {name: run.run.option(name) for name in flags if run.run.option(name) != defaults[name]}
     return " ".join([f"--suite {run.run.suite.name}", *(flags[name].format(value) for name, value in given.items())])
@@ -147,7 +148,8 @@ def in_places(store: Store) -> Table:
                 score = found and found.overall
                 ends = [_ended(score, "wrong_gate"), _ended(score, "collision"), _ended(score, *LOST)]
                 rows.append([f"`{suite}`", f"`{pilot}`", when, *passed(score), *ends])
-    heads = ["tasks, in kept places", "pilot", "", "passed", "rate", "95 % interval", "wrong gate", "collisions", "lost"]
+    ended = ["wrong gate", "collisions", "lost"]
+    heads = ["tasks, in kept places", "pilot", "", "passed", "rate", "95 % interval", *ended]
     return Table(heads, rows)
 
 

@@ -49,8 +49,8 @@ PLACES = replace(
     learning_rate=3e-4,
     stream=StreamRecipe(typed=0.5, layouts=0.4, places=0.5, sentences=2),
 )
-"""Half of the flights are in photographed places, the others in plain and varied rooms as before. Few sentences a frame:
-language is frozen, and reading them would take three times as long as drawing and flying."""
+"""Half of the flights are in photographed places, the others in plain and varied rooms as before. Few sentences a
+frame: language is frozen, and reading them would take three times as long as drawing and flying."""
 
 
 @dataclass(frozen=True)
