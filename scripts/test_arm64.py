@@ -112,15 +112,15 @@ def main() -> None:
     system: Path = options.system.resolve()
     make_system(system)
     shutil.copy("/etc/resolv.conf", system / "etc" / "resolv.conf")
-    copy_sources(system / "root" / "cognitivedrone")
+    copy_sources(system / "opt" / "cognitivedrone")
     here = ["chroot", system]
-    step("environment", *here, "python3", "-m", "venv", "--clear", "/root/venv")
-    source = "/root/cognitivedrone[serve,mavlink]"
-    step("installation", *here, "/root/venv/bin/pip", "install", "--quiet", "--only-binary", ":all:", source)
-    fly = ["/root/venv/bin/cognitivedrone", "bench", "--suite", "open-v1:smoke", "--policy", "small"]
+    step("environment", *here, "python3", "-m", "venv", "--clear", "/opt/venv")
+    source = "/opt/cognitivedrone[serve,mavlink]"
+    step("installation", *here, "/opt/venv/bin/pip", "install", "--quiet", "--only-binary", ":all:", source)
+    fly = ["/opt/venv/bin/cognitivedrone", "bench", "--suite", "open-v1:smoke", "--policy", "small"]
     fly += ["--workers", "1", "--clips", "0"]
-    step("tasks", *here, *fly, "--episodes", options.episodes, "--out", "/root/smoke", "--overwrite")
-    results = json.loads((system / "root" / "smoke" / "results.json").read_text(encoding="utf-8"))
+    step("tasks", *here, *fly, "--episodes", options.episodes, "--out", "/opt/smoke", "--overwrite")
+    results = json.loads((system / "opt" / "smoke" / "results.json").read_text(encoding="utf-8"))
     print(json.dumps(results["platform"], indent=1))
     if results["platform"]["machine"] != "aarch64":
         sys.exit("not flown on ARM64")

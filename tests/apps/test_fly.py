@@ -120,8 +120,9 @@ def test_an_instruction_typed_in_flight_is_a_new_segment_and_asks_the_reasoner_a
     # The pilot is told in plain words what was understood.
     assert [segment["text"] for segment in segments] == ["Fly through the red gate", "Fly through the blue gate"]
     asked = next(e for e in events if e["kind"] == "asked" and e["text"] == "Fly through the blue gate")
-    assert asked["time_s"] - segments[1]["time_s"] < 0.3  # it is asked twice a second otherwise
     steps = pq.read_table(tmp_path / "f" / "steps.parquet").to_pydict()
+    waited = [at for at in steps["time_s"] if segments[1]["time_s"] < at < asked["time_s"]]
+    assert len(waited) < 4  # it is asked at every fifth step otherwise
     assert sorted(set(steps["segment"])) == [0, 1]
     reported = dict(zip(steps["directive"], steps["segment"], strict=True))
     assert reported["Fly through the red gate"] == 0

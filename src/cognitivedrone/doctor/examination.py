@@ -43,6 +43,8 @@ AGREES, WELL = 0.75, 0.95
 """Agreements with the expert: enough, and so much that no explanation is looked for."""
 EXPLAINS = 0.5
 """What is put right must leave at most this share of the disagreement."""
+ALIKE = 0.03
+"""Changes of the state that leave less than this share of the disagreement more than the best one are told too."""
 SLIGHT = 0.02
 """A change of the answers by less than this share of their own size is next to none."""
 SLOWEST, FASTEST = 0.55, 1.8
@@ -328,13 +330,15 @@ class _Examination:
         for name, change in STATES.items():
             self.state_fix = change
             found[name] = distance(self.commands(questions), expected)
-        name = min(found, key=lambda each: found[each])
+        best, *others = sorted(found, key=lambda each: found[each])
         self.state_fix = unchanged
-        if found[name] < EXPLAINS * error:
-            self.state_fix, self.explained = STATES[name], True
+        if found[best] < EXPLAINS * error:
+            self.state_fix, self.explained = STATES[best], True
+            # A policy that hardly uses some of the numbers cannot show which of them took whose place.
+            alike = [best, *(other for other in others if found[other] < found[best] + ALIKE * error)]
             return "wrong", (
-                f"the state does not arrive as it is: {name}; it is velocity x, y, z (m/s), height (m), yaw rate"
-                f" (rad/s) (error {error:.3f}, put right {found[name]:.3f})"
+                f"the state does not arrive as it is: {', or '.join(alike)}; it is velocity x, y, z (m/s), height (m),"
+                f" yaw rate (rad/s) (error {error:.3f}, put right {found[best]:.3f})"
             )
         return "good", "no other order or sign of the state suits it better"
 
