@@ -135,8 +135,8 @@ def install(extras: list[str]) -> None:
     begun().unlink()
     if done.returncode != 0:
         sys.exit("The installation failed; the lines above say why. It can be run again once that is mended.")
-    # Our own, too: where Python writes no bytecode, each of the hundreds of processes of the tests would compile it.
-    run(PYTHON, "-m", "compileall", "-qq", "-j", "0", VENV, ROOT / "src")
+    if sys.dont_write_bytecode:  # each of the hundreds of processes of the tests would compile all that it imports
+        run(PYTHON, "-m", "compileall", "-qq", "-j", "0", VENV, ROOT / "src")
     (VENV / ("installed-" + ("-".join(extras) or "base"))).write_text(stamp_of(extras))
 
 
