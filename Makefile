@@ -33,9 +33,9 @@ check:
 	else echo "mypy is left out: the types of PyTorch are not here"; fi
 	$(RUN)/lint-imports
 
-tests:
+tests: # a third process flies while another waits for a vehicle's clock
 	@$(PYTHON) scripts/setup.py dev
-	$(RUN)/pytest -n 2 --dist worksteal --durations 400 --durations-min 1.5
+	$(RUN)/pytest -n 3 --dist worksteal --durations 400 --durations-min 1.5
 
 test: check tests
 

@@ -104,7 +104,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=int(time.time()), help="of the random order; a new one every time")
     parser.add_argument("tests", nargs="*")
     options = parser.parse_args()
-    pytest = [sys.executable, "-m", "pytest", "-n", "2", "--dist", "worksteal", *options.tests]
+    pytest = [sys.executable, "-m", "pytest", "-n", "3", "--dist", "worksteal", *options.tests]
     done: list[tuple[str, int, float]] = []
     for run in runs(options.seed):
         print(f"\n=== {run.name}", flush=True)
