@@ -18,7 +18,7 @@ import stuck_pilots
 from signals import LIMIT_S, handles, press, runs
 from waiting import soon
 
-from cognitivedrone.rollout import pool
+from cognitivedrone.rollout import process_pool
 from cognitivedrone.temporary import TemporaryFolder
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
@@ -116,19 +116,19 @@ def test_a_benchmark_with_workers_ends_in_order_at_the_first_signal_of_any_kind(
 def test_workers_that_hear_nothing_are_not_waited_for_one_by_one(tmp_path, monkeypatch):
     """However many they are, stopping takes as long as for one."""
     waited: list[float] = []
-    monkeypatch.setattr(pool.time, "monotonic", lambda: sum(waited))
+    monkeypatch.setattr(process_pool.time, "monotonic", lambda: sum(waited))
 
     def worker() -> Any:
         process = SimpleNamespace(terminate=lambda: None, kill=lambda: None, join=waited.append)
         return SimpleNamespace(process=process, connection=SimpleNamespace(close=lambda: None))
 
-    stopped = object.__new__(pool.ProcessPool)
+    stopped = object.__new__(process_pool.ProcessPool)
     stopped._folder, stopped._workers = TemporaryFolder(), [worker() for _ in range(16)]
     stopped.stop()
-    assert sum(waited) == pool.STOP_S + pool.JOIN_TIMEOUT_S
+    assert sum(waited) == process_pool.STOP_S + process_pool.JOIN_TIMEOUT_S
     stopped._folder = TemporaryFolder()
     stopped.close()
-    assert sum(waited) == 2 * (pool.STOP_S + pool.JOIN_TIMEOUT_S) + pool.JOIN_TIMEOUT_S
+    assert sum(waited) == 2 * (process_pool.STOP_S + process_pool.JOIN_TIMEOUT_S) + process_pool.JOIN_TIMEOUT_S
 
 
 def test_a_worker_that_ignores_sigterm_is_killed(tmp_path):

@@ -57,7 +57,7 @@ ALLOWED: dict[str, frozenset[str]] = {
         "training/reasoner/classifier.py": {"torch.load"},
         "training/reasoner/pretrained.py": {"(_folder() / 'tokenizer.json').read_bytes", "load_file"},
         # In a temporary folder of its own, of a name that nobody foresees.
-        "rollout/pool.py": {"crash_file.open", "worker.crash_file.read_text"},
+        "rollout/process_pool.py": {"crash_file.open", "worker.crash_file.read_text"},
         "training/processes.py": {"written.write_text", "file.read_text"},
         "vehicles/gazebo/check.py": {"path.read_text"},
         "vehicles/gazebo/selftest.py": {"(folder.parent / 'world' / PARAMETERS_FILE).read_text"},

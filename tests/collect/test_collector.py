@@ -25,7 +25,8 @@ from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError, MissingExtra, PolicyError, TaskError, UsageError
 from cognitivedrone.locks import sole_writer
 from cognitivedrone.plan import TaskSource
-from cognitivedrone.rollout.pool import ProcessPool, WorkerLost
+from cognitivedrone.rollout.pool import WorkerLost
+from cognitivedrone.rollout.process_pool import ProcessPool
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.tasks.format import write_tasks
 

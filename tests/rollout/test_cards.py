@@ -16,7 +16,7 @@ from cognitivedrone.interfaces import Policy
 from cognitivedrone.pilot import on_card
 from cognitivedrone.rollout import cards, ray_pool
 from cognitivedrone.rollout.cards import Cards
-from cognitivedrone.rollout.pool import ProcessPool
+from cognitivedrone.rollout.process_pool import ProcessPool
 from cognitivedrone.sim.renderers import REMEMBERED, VISIBLE
 
 H100, T4 = "NVIDIA H100 80GB HBM3", "Tesla T4"

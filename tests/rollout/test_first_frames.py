@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from cognitivedrone.errors import FirstFrameError
-from cognitivedrone.rollout.pool import ProcessPool
+from cognitivedrone.rollout.process_pool import ProcessPool
 
 
 class Drawing:

@@ -26,7 +26,8 @@ from cognitivedrone.locks import sole_writer
 from cognitivedrone.policies import POLICIES, make_policy
 from cognitivedrone.progress import progress_bar
 from cognitivedrone.rollout import cards
-from cognitivedrone.rollout.pool import Pool, ProcessPool, WorkerCrash
+from cognitivedrone.rollout.pool import Pool, WorkerCrash
+from cognitivedrone.rollout.process_pool import ProcessPool
 from cognitivedrone.rollout.ray_pool import RayPool
 
 

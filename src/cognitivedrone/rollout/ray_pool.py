@@ -20,7 +20,8 @@ from typing import Any
 from cognitivedrone.cluster import ray_cluster
 from cognitivedrone.errors import CognitiveDroneError, RunError
 from cognitivedrone.printable import visible
-from cognitivedrone.rollout.pool import JOIN_TIMEOUT_S, Answer, Item, Pool, ProcessPool, Work, WorkerCrash, WorkerLost
+from cognitivedrone.rollout.pool import Answer, Item, Pool, Work, WorkerCrash, WorkerLost
+from cognitivedrone.rollout.process_pool import JOIN_TIMEOUT_S, ProcessPool
 from cognitivedrone.sim.renderers import REMEMBERED, VISIBLE
 
 _LONGEST = 300  # characters of Ray's own text

@@ -38,7 +38,8 @@ from cognitivedrone.pilot import Pilot, on_card
 from cognitivedrone.printable import shown_address
 from cognitivedrone.progress import progress_bar
 from cognitivedrone.rollout import cards
-from cognitivedrone.rollout.pool import InProcess, Pool, ProcessPool, WorkerCrash
+from cognitivedrone.rollout.pool import InProcess, Pool, WorkerCrash
+from cognitivedrone.rollout.process_pool import ProcessPool
 from cognitivedrone.rollout.ray_pool import RayPool
 from cognitivedrone.terminal import console
 from cognitivedrone.types import EpisodeResult, Track
