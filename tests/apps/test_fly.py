@@ -312,7 +312,8 @@ def test_the_pilot_ends_the_flight(tmp_path):
         pilot.join()
         peer.part.armed = False
         guard = re.search(r"process (\d+) stays until it is disarmed", summary.ending.reason)
-        assert guard and os.waitpid(int(guard[1]), 0)[1] == 0
+        assert guard
+        assert os.waitpid(int(guard[1]), 0)[1] == 0
         assert commands(peer, 400) == [400]
     assert (summary.ending.kind, summary.exit_code) == ("vehicle", 1)
     assert "LOITER" in summary.ending.reason
