@@ -19,7 +19,7 @@ from typing import Any
 
 from cognitivedrone.cli import main
 from cognitivedrone.errors import CognitiveDroneError
-from cognitivedrone.printable import unprintable
+from cognitivedrone.text.printable import unprintable
 
 PROJECT = Path(__file__).resolve().parents[1]
 MARK = "OWNED"

@@ -18,7 +18,7 @@ from attacks_files import MARKUP, SPECIAL, flown
 from PIL import Image
 
 from cognitivedrone.errors import CognitiveDroneError
-from cognitivedrone.printable import unprintable
+from cognitivedrone.text.printable import unprintable
 
 _LINK = "../secret.txt"
 Try = Callable[[Path], object]

@@ -34,10 +34,10 @@ from served import memory_mb, server_process
 from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.errors import CognitiveDroneError
 from cognitivedrone.policies import make_policy
-from cognitivedrone.printable import unprintable
 from cognitivedrone.remote import connection
 from cognitivedrone.remote.codec import pack
 from cognitivedrone.remote.messages import TOKEN_VARIABLE
+from cognitivedrone.text.printable import unprintable
 from cognitivedrone.types import EpisodeContext, Observation
 
 TOKEN = "the-token-of-the-attacked-0123456789"  # noqa: S105

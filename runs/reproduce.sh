@@ -29,7 +29,7 @@ here=$(dirname "$0")/..
 results=$out/results
 mkdir -p "$results"
 exec 9< "$out" # open until the last program of the script has ended, and with it the lock
-"$python" -m cognitivedrone.locks 9 "$out"
+"$python" -m cognitivedrone.files.locks 9 "$out"
 
 headline=(open-v2:words open-v2:pictures open-v1:unseen open-v2:layouts open-v2:absent open-v1:test open-v1:hard)
 case $size in

@@ -21,9 +21,9 @@ from cognitivedrone.cli import FIRST, TARGETS, help_text, load, main
 from cognitivedrone.collect.collector import collect
 from cognitivedrone.collect.config import CollectPlan
 from cognitivedrone.plan import Scenario
-from cognitivedrone.progress import progress_bar
 from cognitivedrone.tasks import load_suite, write_tasks
 from cognitivedrone.tasks.scenario import how_many, suite_of
+from cognitivedrone.terminal.progress import progress_bar
 
 
 def bench(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:

@@ -18,8 +18,8 @@ import stuck_pilots
 from signals import LIMIT_S, handles, press, runs
 from waiting import soon
 
+from cognitivedrone.files.temporary import TemporaryFolder
 from cognitivedrone.rollout import process_pool
-from cognitivedrone.temporary import TemporaryFolder
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
 SUPPORT = Path(__file__).parent / "support"
@@ -145,7 +145,9 @@ def test_a_worker_ends_with_its_parent_whatever_it_is_in(tmp_path, policy):
         process.kill()
         soon(lambda: not runs(worker), LIMIT_S)
     assert [*(tmp_path / "tmp").iterdir()]
-    with started(tmp_path, "-c", "from cognitivedrone.temporary import TemporaryFolder; TemporaryFolder()") as process:
+    with started(
+        tmp_path, "-c", "from cognitivedrone.files.temporary import TemporaryFolder; TemporaryFolder()"
+    ) as process:
         assert ending(process) == (0, "")
     assert not [*(tmp_path / "tmp").iterdir()]
 
@@ -194,7 +196,7 @@ def test_a_child_of_a_command_is_not_ended_by_what_ends_the_command(tmp_path):
     """A forked child has the handlers of its parent no more, and tells it nothing of its own signals."""
     code = """
 import os, signal, time
-from cognitivedrone.interrupts import ending_in_order
+from cognitivedrone.system.interrupts import ending_in_order
 with ending_in_order():
     reading, writing = os.pipe()
     child = os.fork()

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import cognitivedrone
-from cognitivedrone.json_text import MAX_DEPTH, NotJSON, parse_json
+from cognitivedrone.text.json_text import MAX_DEPTH, NotJSON, parse_json
 
 PLAIN = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),

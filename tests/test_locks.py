@@ -19,7 +19,7 @@ from cognitivedrone.benchmark.reasoning.reason import _open_answers
 from cognitivedrone.benchmark.runs import records
 from cognitivedrone.data.formats.exchange import new_folder
 from cognitivedrone.errors import CognitiveDroneError, DataError, RunError, TrainingError
-from cognitivedrone.locks import LOCK_FILE, holds_files, sole_writer
+from cognitivedrone.files.locks import LOCK_FILE, holds_files, sole_writer
 from cognitivedrone.training.config import TrainPlan
 from cognitivedrone.training.launch import run
 from cognitivedrone.training.processes import ERROR_FILE, training_lock
@@ -114,7 +114,7 @@ def test_of_several_processes_one_holds_the_lock(tmp_path, monkeypatch, variable
 
 
 def test_a_script_holds_the_lock_until_it_ends(tmp_path):
-    lock = f'exec 9< "{tmp_path}"; "{sys.executable}" -m cognitivedrone.locks 9 "{tmp_path}"'
+    lock = f'exec 9< "{tmp_path}"; "{sys.executable}" -m cognitivedrone.files.locks 9 "{tmp_path}"'
     with sole_writer(tmp_path, RunError, "busy"):
         refused = subprocess.run(["bash", "-c", lock], capture_output=True, text=True, timeout=60, check=False)
     assert refused.returncode == 2
@@ -134,4 +134,4 @@ def test_a_script_holds_the_lock_until_it_ends(tmp_path):
 
 def test_the_reproduction_takes_it():
     script = (Path(__file__).parents[1] / "runs" / "reproduce.sh").read_text()
-    assert script.index('-m cognitivedrone.locks 9 "$out"') < script.index("train reader")
+    assert script.index('-m cognitivedrone.files.locks 9 "$out"') < script.index("train reader")

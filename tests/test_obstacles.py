@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cognitivedrone.obstacles import LANDMARK_SIDE, Solids, solids_of
-from cognitivedrone.path_planning import ways_to
+from cognitivedrone.layout.obstacles import LANDMARK_SIDE, Solids, solids_of
+from cognitivedrone.layout.path_planning import ways_to
 from cognitivedrone.types import Landmark, Obstacle
 
 PILLAR = Obstacle("pillar", 2.0, 0.0, 0.4, 2.0)

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cognitivedrone.errors import CameraError, PolicyRaised
-from cognitivedrone.printable import message, shown_address, unprintable, visible, wrapped
+from cognitivedrone.text.printable import message, shown_address, unprintable, visible, wrapped
 
 ANY = st.text(st.characters(codec=None, exclude_categories=()), max_size=40)
 

@@ -17,8 +17,8 @@ from waiting import soon
 
 from cognitivedrone.cli import main
 from cognitivedrone.errors import GazeboError
-from cognitivedrone.processes import SAFE_PATH, STARTER, end_with_parent, environment, starting
 from cognitivedrone.sim import gl
+from cognitivedrone.system.processes import SAFE_PATH, STARTER, end_with_parent, environment, starting
 from cognitivedrone.vehicles.gazebo.services import ServiceProcess
 
 MODULES = ("json", "ctypes", "multiprocessing", "signal", "subprocess", "numpy", "cognitivedrone", "sitecustomize")
@@ -109,7 +109,7 @@ def test_our_own_environment_is_as_it_was(had: str | None, monkeypatch: pytest.M
 
 TRAINER = """
 import os, sys, time
-from cognitivedrone.processes import end_with_starter
+from cognitivedrone.system.processes import end_with_starter
 end_with_starter()
 with open(sys.argv[1] + ".new", "w") as file:
     file.write(str(os.getpid()))
@@ -119,7 +119,7 @@ while True:
 """
 LAUNCHER = f"""
 import os, signal, subprocess, sys
-from cognitivedrone.processes import end_with_starter, starter
+from cognitivedrone.system.processes import end_with_starter, starter
 end_with_starter()
 def told(*_):
     open("told", "w").close()
@@ -130,7 +130,7 @@ trainer.wait()
 """
 COMMAND = f"""
 import sys
-from cognitivedrone.interrupts import ending_in_order
+from cognitivedrone.system.interrupts import ending_in_order
 from cognitivedrone.training.processes import run_processes
 with ending_in_order():
     run_processes([sys.executable, "-c", {LAUNCHER!r}])

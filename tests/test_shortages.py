@@ -14,7 +14,7 @@ import pytest
 from cognitivedrone.cli import main
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import writing
-from cognitivedrone.shortages import tight_limit, way_out_of
+from cognitivedrone.system.shortages import tight_limit, way_out_of
 
 WITH_LIMIT = 'ulimit "$1" "$2"; shift 2; exec "$@"'
 

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from cognitivedrone import temporary
-from cognitivedrone.temporary import TemporaryFolder
+from cognitivedrone.files import temporary
+from cognitivedrone.files.temporary import TemporaryFolder
 
 MAKE = """
-from cognitivedrone.temporary import TemporaryFolder
+from cognitivedrone.files.temporary import TemporaryFolder
 folder = TemporaryFolder()
 print(folder.path, flush=True)
 """

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 
 from cognitivedrone.errors import CognitiveDroneError, TaskError
-from cognitivedrone.json_text import NotJSON
+from cognitivedrone.files.texts import decoded, folded, load_json
 from cognitivedrone.reasoners.prompt import load_prompt
 from cognitivedrone.reasoners.replay import read_answers
 from cognitivedrone.serving.access import token_of
 from cognitivedrone.tasks.format import read_json
 from cognitivedrone.tasks.knowledge.rows import read_rows
-from cognitivedrone.texts import decoded, folded, load_json
+from cognitivedrone.text.json_text import NotJSON
 
 PLAIN = "concept,colour,note\ncafé,brown,warm\n"
 ROWS = [{"concept": "café", "colour": "brown", "note": "warm"}]

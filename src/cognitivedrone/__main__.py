@@ -1,6 +1,6 @@
 """The command `cognitivedrone`, also as `python -m cognitivedrone`; Ctrl-C is no traceback from the first import on."""
 
-from cognitivedrone.interrupts import leaving_at_once
+from cognitivedrone.system.interrupts import leaving_at_once
 
 
 def main() -> None:

@@ -45,8 +45,8 @@ from urllib.parse import unquote, urlsplit
 
 from cognitivedrone.choices import MessageFault as MessageFault
 from cognitivedrone.choices import ReasonerFault as ReasonerFault
-from cognitivedrone.json_text import parse_json
-from cognitivedrone.printable import visible, without_secrets, wrapped
+from cognitivedrone.text.json_text import parse_json
+from cognitivedrone.text.printable import visible, without_secrets, wrapped
 
 
 class CognitiveDroneError(Exception):

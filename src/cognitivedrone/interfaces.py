@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Protocol, Self, TypeVar
 
-from cognitivedrone.interrupts import is_ctrl_c
+from cognitivedrone.system.interrupts import is_ctrl_c
 from cognitivedrone.types import (
     Action,
     ActionChunk,

@@ -20,9 +20,9 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_type_hints
 
 from cognitivedrone.choices import AppearanceName as AppearanceName
 from cognitivedrone.errors import AppearanceError, LinkError, UnknownOption, did_you_mean
-from cognitivedrone.printable import shown_address
 from cognitivedrone.ranges import WIND, Range, Seed, check_arguments
 from cognitivedrone.system import refusal
+from cognitivedrone.text.printable import shown_address
 
 Rule = Literal["through", "within_1m"]
 """`through`: the drone's centre crosses the right gate's plane inside its opening. `within_1m`: the published rule, the

@@ -32,8 +32,8 @@ from cognitivedrone.apps.view import EVENTS_SHOWN, Instruments, Printer, summary
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.cli.scoring import ViewPlan
 from cognitivedrone.errors import CameraError, LinkError, RunError
-from cognitivedrone.interrupts import until_asked
 from cognitivedrone.play.config import PlayPlan
+from cognitivedrone.system.interrupts import until_asked
 from cognitivedrone.types import Event, EventKind, Guidance, Observation
 from cognitivedrone.vehicles import check_vehicle
 from cognitivedrone.vehicles.camera import open_camera

@@ -32,9 +32,9 @@ from cognitivedrone.benchmark.submission_file import SubmittedRun, scores_of, st
 from cognitivedrone.cli import main
 from cognitivedrone.errors import PolicyError, RunError
 from cognitivedrone.files import digest_of_file
-from cognitivedrone.printable import unprintable
 from cognitivedrone.rollout.pool import InProcess
 from cognitivedrone.tasks import load_suite
+from cognitivedrone.text.printable import unprintable
 
 STRAIGHT = """
 import numpy as np

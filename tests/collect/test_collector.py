@@ -23,7 +23,7 @@ from cognitivedrone.collect.recipe import RECIPES
 from cognitivedrone.data.layout import WRITING
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError, MissingExtra, PolicyError, TaskError, UsageError
-from cognitivedrone.locks import sole_writer
+from cognitivedrone.files.locks import sole_writer
 from cognitivedrone.plan import TaskSource
 from cognitivedrone.rollout.pool import WorkerLost
 from cognitivedrone.rollout.process_pool import ProcessPool

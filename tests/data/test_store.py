@@ -31,7 +31,7 @@ from cognitivedrone.data.store import Store
 from cognitivedrone.data.store_writer import StoreWriter
 from cognitivedrone.data.verify import verify
 from cognitivedrone.errors import DataError
-from cognitivedrone.locks import LOCK_FILE
+from cognitivedrone.files.locks import LOCK_FILE
 from cognitivedrone.tasks.format import read_tasks
 
 

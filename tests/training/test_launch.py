@@ -35,7 +35,7 @@ def test_a_file_in_place_of_the_folder_is_refused_at_once(tmp_path):
 TRAINER = """
 import os, time
 from pathlib import Path
-from cognitivedrone.processes import end_with_starter
+from cognitivedrone.system.processes import end_with_starter
 end_with_starter()
 Path(f"begun-{os.environ['RANK']}").write_text(str(os.getpid()))
 while True:
@@ -43,7 +43,7 @@ while True:
 """
 COMMAND = """
 import sys
-from cognitivedrone.interrupts import ending_in_order
+from cognitivedrone.system.interrupts import ending_in_order
 from cognitivedrone.training.launch import LAUNCHER
 from cognitivedrone.training.processes import run_processes
 with ending_in_order():

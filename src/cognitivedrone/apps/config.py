@@ -10,9 +10,9 @@ import tyro
 
 from cognitivedrone.errors import LinkError
 from cognitivedrone.plan import Options, PilotSpec, SafetySpec, Scenario, VehicleSpec
-from cognitivedrone.printable import unprintable
 from cognitivedrone.ranges import Amount, Index, Port, Range, Share
 from cognitivedrone.system import CAMERA
+from cognitivedrone.text.printable import unprintable
 
 TimeLimit = Annotated[float, Range(0.1, unit="s")]
 AUTO = "auto"

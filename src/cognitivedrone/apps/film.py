@@ -15,10 +15,10 @@ from cognitivedrone.apps.view import SILENT, say
 from cognitivedrone.errors import CognitiveDroneError
 from cognitivedrone.film.frame import Film, FilmFrame, Scene, Verdict
 from cognitivedrone.film.page import write_flight
-from cognitivedrone.progress import counted
 from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.tasks.missions import is_mission, sub_goals
 from cognitivedrone.terminal import console as stderr_console
+from cognitivedrone.terminal.progress import counted
 
 _HEADLINES: dict[EndKind, str] = {
     "passed": "Passed", "flown": "Flown: you judge", "missed": "Failed", "unsure": "Unsure: it hovered",

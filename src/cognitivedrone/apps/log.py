@@ -37,7 +37,7 @@ from cognitivedrone.film.frame import FilmFrame
 from cognitivedrone.film.video import read_mp4
 from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.interfaces import Reasoner
-from cognitivedrone.printable import shown_address, without_secrets
+from cognitivedrone.text.printable import shown_address, without_secrets
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Event, Image, SeenPanel
 
 STEPS_FILE, EVENTS_FILE, CAMERA_FILE, BAG_FOLDER, ABOUT_FILE = (

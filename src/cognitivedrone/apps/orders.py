@@ -13,8 +13,8 @@ from typing import TextIO
 
 from cognitivedrone.apps.values import Ending
 from cognitivedrone.errors import RunError
-from cognitivedrone.interrupts import handling, undone_at_the_end
 from cognitivedrone.system import ENDED, keys
+from cognitivedrone.system.interrupts import handling, undone_at_the_end
 
 LAND = frozenset({"land", "stop"})
 LONGEST = 500

@@ -22,7 +22,7 @@ from cognitivedrone.choices import AnswerKind, DecisionKind, EventKind, Reasoner
 from cognitivedrone.control.async_reasoner import ANSWER_S
 from cognitivedrone.control.loop import LATE_S
 from cognitivedrone.film.page import FILM_FILE, PAGE_FILE
-from cognitivedrone.printable import visible
+from cognitivedrone.text.printable import visible
 from cognitivedrone.types import Event, FloatArray
 
 EVENTS_SHOWN = 6

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
-from cognitivedrone.interrupts import STOPPED, end_at_once, last_resort, terminating_for_s
+from cognitivedrone.system.interrupts import STOPPED, end_at_once, last_resort, terminating_for_s
 from cognitivedrone.vehicles.contract import Vehicle
 
 GRACE_S = 5.0

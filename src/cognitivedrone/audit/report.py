@@ -14,7 +14,7 @@ from cognitivedrone.audit.config import AuditPlan
 from cognitivedrone.audit.run import FEWEST_FLIGHTS, Row
 from cognitivedrone.benchmark.reports.tables import interval, new_table, percent
 from cognitivedrone.benchmark.scores.scoring import CHANCE
-from cognitivedrone.pages import render_page
+from cognitivedrone.text.pages import render_page
 
 PAGE_FILE: Final = "audit.html"
 EXPECTED: Final = {

@@ -17,12 +17,12 @@ from cognitivedrone.benchmark.runs.runner import run
 from cognitivedrone.benchmark.scores.results import Results
 from cognitivedrone.benchmark.scores.scoring import Summary
 from cognitivedrone.errors import RunError
+from cognitivedrone.files.temporary import TemporaryFolder
 from cognitivedrone.interfaces import PolicyLike, ReasonerLike
 from cognitivedrone.pilot import Pilot
 from cognitivedrone.policies import make_policy
-from cognitivedrone.printable import visible
 from cognitivedrone.reasoners import NONE, make_reasoner
-from cognitivedrone.temporary import TemporaryFolder
+from cognitivedrone.text.printable import visible
 
 
 @dataclass(frozen=True, slots=True)

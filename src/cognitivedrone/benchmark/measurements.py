@@ -18,7 +18,7 @@ from typing import Any, Final
 from cognitivedrone.benchmark.runs.provenance import platform_facts
 from cognitivedrone.benchmark.scores.codec import decode, dumps, encode, read_document
 from cognitivedrone.benchmark.scores.results import versions, write_whole
-from cognitivedrone.printable import shown_address
+from cognitivedrone.text.printable import shown_address
 
 SCHEMA: Final = "cognitivedrone.measurement/1"
 OUT_HELP: Final = "file for the figures, such as results/NAME.json"

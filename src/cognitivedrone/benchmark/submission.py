@@ -37,9 +37,9 @@ from cognitivedrone.benchmark.submission_file import write_submission as write_s
 from cognitivedrone.control.latency import parse_delays
 from cognitivedrone.errors import RunError
 from cognitivedrone.policies import POLICIES
-from cognitivedrone.progress import progress_bar
 from cognitivedrone.reasoners import REASONERS
 from cognitivedrone.rollout.pool import InProcess, Pool
+from cognitivedrone.terminal.progress import progress_bar
 
 DRIFT: Final = 0.005
 """Share of flights that may end otherwise on another machine. None of 440 did when leaderboard/small.json was verified

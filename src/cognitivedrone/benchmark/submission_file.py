@@ -20,9 +20,9 @@ from cognitivedrone.benchmark.scores.possible import impossible
 from cognitivedrone.benchmark.scores.results import FILES, RunFacts, check_options, write_whole
 from cognitivedrone.benchmark.scores.scoring import Interval, Summary, mean_of, score, summarize
 from cognitivedrone.errors import RunError
-from cognitivedrone.printable import unprintable, visible
 from cognitivedrone.tasks import SUITES, load_suite
 from cognitivedrone.tasks.scenario import chain
+from cognitivedrone.text.printable import unprintable, visible
 from cognitivedrone.types import CATEGORIES, Category, EpisodeResult, Outcome, StageResult, Track
 
 SCHEMA: Final = "cognitivedrone.submission/1"

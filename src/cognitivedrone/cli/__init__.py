@@ -23,12 +23,12 @@ import tyro
 from cognitivedrone.cli.streams import prepare_streams
 from cognitivedrone.errors import CognitiveDroneError, MissingExtra, UsageError, did_you_mean, plain_warnings
 from cognitivedrone.files import reason_of
-from cognitivedrone.interrupts import STOPPED, ending_in_order, was_asked
-from cognitivedrone.printable import message, wrapped
-from cognitivedrone.processes import SAFE_PATH
 from cognitivedrone.ranges import check_arguments, check_words
-from cognitivedrone.shortages import way_out_of
-from cognitivedrone.usage_reports import switch_off
+from cognitivedrone.system.interrupts import STOPPED, ending_in_order, was_asked
+from cognitivedrone.system.processes import SAFE_PATH
+from cognitivedrone.system.shortages import way_out_of
+from cognitivedrone.system.usage_reports import switch_off
+from cognitivedrone.text.printable import message, wrapped
 
 PROGRAM = "cognitivedrone"
 Ending = Callable[[], AbstractContextManager[None]]
@@ -154,7 +154,7 @@ def _run(arguments: list[str], ending: Ending) -> None:
         print(help_text())  # noqa: T201
         return
     if arguments[0] == "--version":
-        from cognitivedrone.version import version_line
+        from cognitivedrone.cli.version import version_line
 
         print(version_line())  # noqa: T201
         return

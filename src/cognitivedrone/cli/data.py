@@ -10,8 +10,8 @@ import tyro
 from tyro.conf import OmitArgPrefixes as Flat
 
 from cognitivedrone.collect.config import CollectPlan
-from cognitivedrone.printable import visible
 from cognitivedrone.ranges import Index
+from cognitivedrone.text.printable import visible
 
 
 def collect(config: Annotated[Flat[CollectPlan], tyro.conf.arg(name="")]) -> None:
@@ -90,7 +90,7 @@ def export(folder: tyro.conf.Positional[Path], to: str, out: Path) -> None:
     """
     from cognitivedrone.data.formats import export as export_set
     from cognitivedrone.data.store import Store
-    from cognitivedrone.progress import counted
+    from cognitivedrone.terminal.progress import counted
 
     store = Store.open(folder)
     count = export_set(counted(store.labelled(), "exporting", len(store)), to, out)

@@ -13,8 +13,8 @@ from tyro.conf import OmitArgPrefixes as Flat
 
 from cognitivedrone.apps.config import FlyPlan, SimPlan
 from cognitivedrone.play.config import PlayPlan
-from cognitivedrone.printable import visible, wrapped
 from cognitivedrone.sim.gl import look_ahead
+from cognitivedrone.text.printable import visible, wrapped
 
 if TYPE_CHECKING:
     from cognitivedrone.play.flight import FlightPage
@@ -91,7 +91,7 @@ def sim(plan: Annotated[Flat[SimPlan], tyro.conf.arg(name="")]) -> None:
       cognitivedrone sim --mavlink --camera-port 8090 --suite open-v1:test --episode 3
     """
     from cognitivedrone.apps.vehicle import serve_vehicle
-    from cognitivedrone.interrupts import until_asked
+    from cognitivedrone.system.interrupts import until_asked
 
     with until_asked() as stop:
         lost = serve_vehicle(plan, stop, lambda served: print(wrapped(str(served), sys.stdout), flush=True))  # noqa: T201

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import tyro
 
-from cognitivedrone.printable import visible
+from cognitivedrone.text.printable import visible
 
 
 def push(

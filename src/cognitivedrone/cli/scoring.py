@@ -12,8 +12,8 @@ from tyro.conf import OmitArgPrefixes as Flat
 from cognitivedrone.audit.config import AuditPlan
 from cognitivedrone.benchmark.config import Plan, ReasonPlan, SweepPlan
 from cognitivedrone.plan import Options, Scenario
-from cognitivedrone.printable import visible
 from cognitivedrone.ranges import Count, Index, Seed
+from cognitivedrone.text.printable import visible
 
 
 def bench(plan: Annotated[Flat[Plan], tyro.conf.arg(name="")]) -> None:

@@ -10,8 +10,8 @@ import tyro
 from tyro.conf import OmitArgPrefixes as Flat
 
 from cognitivedrone.errors import import_extra
-from cognitivedrone.printable import wrapped
 from cognitivedrone.serving.config import ServePlan
+from cognitivedrone.text.printable import wrapped
 
 EXTRA = "serve"
 

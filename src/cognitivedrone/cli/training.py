@@ -10,7 +10,7 @@ import tyro
 from tyro.conf import OmitArgPrefixes as Flat
 
 from cognitivedrone.errors import MissingExtra
-from cognitivedrone.printable import visible
+from cognitivedrone.text.printable import visible
 from cognitivedrone.training.config import FineTunePlan, TrainPlan
 
 TRAINING_MODULES = 2_200
@@ -30,7 +30,7 @@ def train(plan: Annotated[Flat[TrainPlan], tyro.conf.arg(name="")]) -> None:
       cognitivedrone train --recipe flight --start runs/language/checkpoint.safetensors --out runs/flight --processes 2
       cognitivedrone train --recipe selector --start runs/flight/checkpoint.safetensors --out runs/selector
     """
-    from cognitivedrone.progress import loading
+    from cognitivedrone.terminal.progress import loading
 
     try:
         with loading("loading PyTorch and the vocabulary", TRAINING_MODULES):

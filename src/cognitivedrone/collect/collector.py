@@ -12,7 +12,6 @@ from typing import Any
 from rich.progress import Progress, SpinnerColumn, TaskID, TimeElapsedColumn
 
 from cognitivedrone import registry
-from cognitivedrone.cluster import import_ray
 from cognitivedrone.collect.config import CollectPlan
 from cognitivedrone.collect.fleet import FlownEpisode
 from cognitivedrone.collect.job import Job, learner_of, open_suite
@@ -21,14 +20,15 @@ from cognitivedrone.data.episode import Episode
 from cognitivedrone.data.layout import WRITING
 from cognitivedrone.data.store_writer import StoreWriter
 from cognitivedrone.errors import DataError, RunError, did_you_mean
+from cognitivedrone.files.locks import sole_writer
 from cognitivedrone.labels.folder import digest_of_labels
-from cognitivedrone.locks import sole_writer
 from cognitivedrone.policies import POLICIES, make_policy
-from cognitivedrone.progress import progress_bar
 from cognitivedrone.rollout import cards
+from cognitivedrone.rollout.cluster import import_ray
 from cognitivedrone.rollout.pool import Pool, WorkerCrash
 from cognitivedrone.rollout.process_pool import ProcessPool
 from cognitivedrone.rollout.ray_pool import RayPool
+from cognitivedrone.terminal.progress import progress_bar
 
 
 @dataclass(frozen=True, slots=True)

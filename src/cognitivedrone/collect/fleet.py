@@ -22,11 +22,11 @@ from cognitivedrone.envs.track_runner import TrackConfig, episode_rng
 from cognitivedrone.envs.worlds import Worlds
 from cognitivedrone.errors import CognitiveDroneError, DataError, NonFiniteAction, PolicyError
 from cognitivedrone.interfaces import Policy, PolicyLike
-from cognitivedrone.interrupts import is_ctrl_c
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies.expert import Expert, ExpertConfig
 from cognitivedrone.sim.airframe import AIRFRAMES
 from cognitivedrone.sim.gl import renderer_name
+from cognitivedrone.system.interrupts import is_ctrl_c
 from cognitivedrone.tasks import Suite
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Action, EpisodeContext, FloatArray, Image, Observation, Outcome
 from cognitivedrone.world.appearance import photo_appearance

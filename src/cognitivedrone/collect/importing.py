@@ -12,7 +12,7 @@ from cognitivedrone.data.formats import import_
 from cognitivedrone.data.layout import WRITING
 from cognitivedrone.data.store_writer import StoreWriter
 from cognitivedrone.errors import DataError
-from cognitivedrone.locks import sole_writer
+from cognitivedrone.files.locks import sole_writer
 
 
 def import_set(source: Path, form: str, out: Path) -> int:

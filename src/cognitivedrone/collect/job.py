@@ -15,8 +15,8 @@ from cognitivedrone.errors import DataError, RunError
 from cognitivedrone.files import digest_of_file
 from cognitivedrone.plan import TaskSource
 from cognitivedrone.policies import make_policy, model_file
-from cognitivedrone.printable import shown_address
 from cognitivedrone.tasks import Suite
+from cognitivedrone.text.printable import shown_address
 
 
 @dataclass(frozen=True, slots=True)

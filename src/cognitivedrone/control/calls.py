@@ -12,8 +12,8 @@ import numpy as np
 
 from cognitivedrone.errors import ActionError, CognitiveDroneError, NonFiniteAction, PolicyRaised
 from cognitivedrone.interfaces import PlugIn
-from cognitivedrone.interrupts import is_ctrl_c, raise_pressed
 from cognitivedrone.registry import one_line
+from cognitivedrone.system.interrupts import is_ctrl_c, raise_pressed
 from cognitivedrone.types import ActionChunk, EpisodeContext
 
 _EXPECTED = "expected (k, 4) float32"

@@ -19,8 +19,8 @@ import numpy as np
 from cognitivedrone.control.calls import NO_WATCH, Watch, calling, check_chunk
 from cognitivedrone.errors import SimulationError
 from cognitivedrone.files import read_regular, reason_of
+from cognitivedrone.files.texts import decoded
 from cognitivedrone.interfaces import Policy
-from cognitivedrone.texts import decoded
 from cognitivedrone.types import ActionChunk, EpisodeContext, Observation
 
 LONGEST_S = 60.0

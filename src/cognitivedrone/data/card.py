@@ -20,7 +20,7 @@ from cognitivedrone.data.episode import Episode, decode_image, encode_image
 from cognitivedrone.data.overview import ACTION_NAMES, FamilyCount, Histogram, megabytes, overview
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError
-from cognitivedrone.pages import render_page
+from cognitivedrone.text.pages import render_page
 
 STRIP_FRAMES: Final = 6
 SHOWN_SHARE: Final = 0.87

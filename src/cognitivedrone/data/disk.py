@@ -15,8 +15,8 @@ import pyarrow as pa
 
 from cognitivedrone import files
 from cognitivedrone.errors import DataError
-from cognitivedrone.json_text import parse_json
 from cognitivedrone.system import sync_folder
+from cognitivedrone.text.json_text import parse_json
 
 MAX_TEXT_BYTES: Final = 256 * 2**20
 """Of a store's JSON files and SHA256SUMS."""

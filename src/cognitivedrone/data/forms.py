@@ -10,7 +10,7 @@ from typing import Any
 from cognitivedrone.data.episode import Encoding
 from cognitivedrone.data.receipts import Receipt, check_receipt
 from cognitivedrone.errors import DataError
-from cognitivedrone.schema import check_form
+from cognitivedrone.files.schema import check_form
 
 
 @dataclass(frozen=True, slots=True)

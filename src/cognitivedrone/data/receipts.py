@@ -10,8 +10,8 @@ from typing import Any, Final
 
 from cognitivedrone.data.disk import json_text, read_json
 from cognitivedrone.errors import DataError
-from cognitivedrone.json_text import parse_json
-from cognitivedrone.schema import check_form
+from cognitivedrone.files.schema import check_form
+from cognitivedrone.text.json_text import parse_json
 
 _SHARD: Final = re.compile(r"(?:shards|partial)/shard-[0-9]{5,9}\.parquet")
 _DIGEST: Final = re.compile(r"[0-9a-f]{64}")

@@ -24,8 +24,8 @@ from cognitivedrone.data.forms import check_footer
 from cognitivedrone.data.pages import check_pages
 from cognitivedrone.data.statistics import Flown
 from cognitivedrone.errors import CognitiveDroneError, DataError
-from cognitivedrone.json_text import parse_json
 from cognitivedrone.tasks.format import task_from_json, task_to_json
+from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.types import Task
 
 FOOTER_KEY: Final = "cognitivedrone"

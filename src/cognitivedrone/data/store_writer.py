@@ -41,9 +41,9 @@ from cognitivedrone.data.shards import ShardFile, flown_in, write_shard_file
 from cognitivedrone.data.statistics import draw_splits, statistics
 from cognitivedrone.errors import DataError
 from cognitivedrone.files import check_no_link, is_left_over, remove, remove_left_over
-from cognitivedrone.json_text import parse_json
-from cognitivedrone.locks import LOCK_FILE
+from cognitivedrone.files.locks import LOCK_FILE
 from cognitivedrone.tasks.format import write_tasks
+from cognitivedrone.text.json_text import parse_json
 
 PACKAGES: Final = ("cognitivedrone", "mujoco", "numpy", "pillow", "pyarrow")
 """Packages whose version can change a bit of the data."""

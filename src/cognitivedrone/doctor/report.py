@@ -10,8 +10,8 @@ from cognitivedrone.doctor.examination import examine
 from cognitivedrone.doctor.finding import Verdict
 from cognitivedrone.doctor.subject import Subject
 from cognitivedrone.doctor.views import look_around
-from cognitivedrone.interrupts import watched
 from cognitivedrone.policies import make_policy
+from cognitivedrone.system.interrupts import watched
 from cognitivedrone.terminal import console
 
 MARKS: dict[Verdict, tuple[str, str]] = {

@@ -12,9 +12,9 @@ from cognitivedrone.errors import RunError
 from cognitivedrone.files import remove_left_over, replace_file, replacing, writing
 from cognitivedrone.film.frame import Film, FilmFrame, reading_of
 from cognitivedrone.film.movie import write_film
-from cognitivedrone.pages import render_page
-from cognitivedrone.printable import visible
 from cognitivedrone.sim.airframe import RACER, Airframe
+from cognitivedrone.text.pages import render_page
+from cognitivedrone.text.printable import visible
 from cognitivedrone.types import SeenPanel
 from cognitivedrone.world import geometry
 

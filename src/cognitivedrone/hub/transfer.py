@@ -17,10 +17,10 @@ from urllib.parse import urlsplit
 
 from cognitivedrone.errors import CognitiveDroneError, HubError, import_extra
 from cognitivedrone.files import check_no_link, reason_of, remove, replace_file, writing
+from cognitivedrone.files.locks import LOCK_FILE, holds_files, sole_writer
 from cognitivedrone.hub.contents import SUFFIXES, RepoType, check_names, contents_of, kind_of, size_text
-from cognitivedrone.locks import LOCK_FILE, holds_files, sole_writer
 from cognitivedrone.system import move_folder
-from cognitivedrone.usage_reports import switch_off
+from cognitivedrone.system.usage_reports import switch_off
 
 ENDPOINT: Final = "https://huggingface.co"
 MOST_FILES: Final = 50_000

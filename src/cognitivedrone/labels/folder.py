@@ -18,11 +18,11 @@ from pathlib import Path, PurePath
 from cognitivedrone import types
 from cognitivedrone.errors import LabelError, did_you_mean
 from cognitivedrone.files import check_regular, is_hidden, read_regular, reason_of
+from cognitivedrone.files.texts import folded
 from cognitivedrone.labels.extended import ExtendedPack
 from cognitivedrone.labels.images import SUFFIXES, draw_several, frozen_array, read_image
 from cognitivedrone.pictures import MAX_FILE_BYTES, OTHER_SUFFIXES
 from cognitivedrone.references import Reference, parse_reference
-from cognitivedrone.texts import folded
 
 MAX_FILES = 50_000
 """Of a folder: images of a pack, and files of any kind that are hashed."""

@@ -17,7 +17,7 @@ from typing import Any, Final, TypeVar
 from cognitivedrone import system
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.files import reason_of, remove
-from cognitivedrone.temporary import TemporaryFolder
+from cognitivedrone.files.temporary import TemporaryFolder
 
 VARIABLE: Final = "TORCHINDUCTOR_CACHE_DIR"
 """PyTorch's variable for the folder of compiled code; a person's own choice is left as it is."""

@@ -15,9 +15,9 @@ import numpy as np
 
 from cognitivedrone.errors import ModelError, import_extra
 from cognitivedrone.files import read_regular, reason_of, replacing
-from cognitivedrone.json_text import parse_json
 from cognitivedrone.models.checksum import BLANK, check, seal
-from cognitivedrone.usage_reports import switch_off
+from cognitivedrone.system.usage_reports import switch_off
+from cognitivedrone.text.json_text import parse_json
 
 KEY = "cognitivedrone"
 """Key of the metadata."""

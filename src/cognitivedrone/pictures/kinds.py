@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from cognitivedrone.printable import visible
+from cognitivedrone.text.printable import visible
 
 OTHER_SUFFIXES: Final = (
     ".avif", ".gif", ".heic", ".heif", ".ico", ".jfif", ".jp2", ".jxl", ".psd", ".svg", ".tif", ".tiff",

@@ -28,7 +28,7 @@ from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.pictures.kinds import what_else
 from cognitivedrone.pictures.limits import MAX_PIXELS
 from cognitivedrone.pictures.metadata import without_metadata
-from cognitivedrone.printable import visible
+from cognitivedrone.text.printable import visible
 
 MAX_FILE_BYTES: Final = 20_000_000
 FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP")

@@ -12,10 +12,10 @@ import PIL.Image
 
 from cognitivedrone.errors import CognitiveDroneError, RenderError
 from cognitivedrone.film.frame import Scene
-from cognitivedrone.processes import end_with_parent, starting
 from cognitivedrone.sim.airframe import Airframe
 from cognitivedrone.sim.chase import LIVE_SIZE, ChaseView
 from cognitivedrone.system import let_others_first
+from cognitivedrone.system.processes import end_with_parent, starting
 from cognitivedrone.types import FloatArray, Image
 
 QUALITY: Final = 82

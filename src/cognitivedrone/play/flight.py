@@ -19,9 +19,9 @@ from cognitivedrone.play.board import LiveBoard
 from cognitivedrone.play.channels import Channels
 from cognitivedrone.play.config import PageSpec
 from cognitivedrone.play.server import Controls, serving_page
-from cognitivedrone.printable import shown_address
 from cognitivedrone.serving.access import token_of
 from cognitivedrone.sim.airframe import find_airframe
+from cognitivedrone.text.printable import shown_address
 from cognitivedrone.types import ACTION_LIMITS, Action
 
 SENTENCES_KEPT: Final = 40

@@ -14,9 +14,9 @@ from typing import Final
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.files import read_regular
-from cognitivedrone.json_text import parse_json
 from cognitivedrone.plan import PilotSpec
-from cognitivedrone.processes import environment
+from cognitivedrone.system.processes import environment
+from cognitivedrone.text.json_text import parse_json
 
 _RECIPE_BYTES: Final = 2**20
 _STEP: Final = re.compile(r"step (\d+)")

@@ -13,10 +13,10 @@ import numpy as np
 from cognitivedrone.apps.scene import MADE, ChosenScene
 from cognitivedrone.errors import LabelError
 from cognitivedrone.files import replacing
+from cognitivedrone.files.texts import folded
 from cognitivedrone.labels.images import SIDE, SUFFIXES
 from cognitivedrone.pictures import OTHER_SUFFIXES, decode_picture
 from cognitivedrone.tasks.suites import drawn_task, suite_of_tasks
-from cognitivedrone.texts import folded
 from cognitivedrone.types import Task
 
 KIND: Final = "mine"

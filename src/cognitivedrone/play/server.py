@@ -23,11 +23,11 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from cognitivedrone.errors import CognitiveDroneError, ServerError
 from cognitivedrone.files import reason_of
-from cognitivedrone.json_text import parse_json
 from cognitivedrone.pictures import MAX_FILE_BYTES
 from cognitivedrone.play.access import Guarded
 from cognitivedrone.play.channels import Channels, Reader
 from cognitivedrone.play.config import PageSpec
+from cognitivedrone.text.json_text import parse_json
 
 VIEWERS: Final = 16
 """Maximum number of open pages."""

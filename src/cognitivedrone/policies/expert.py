@@ -10,7 +10,7 @@ from scipy.interpolate import CubicHermiteSpline
 from cognitivedrone.errors import GroundTruthError
 from cognitivedrone.frames import rotate_yaw, world_to_heading, wrap_angle, yaw_of
 from cognitivedrone.interfaces import Policy
-from cognitivedrone.path_planning import JOIN_M, gate_places, ways_to
+from cognitivedrone.layout.path_planning import JOIN_M, gate_places, ways_to
 from cognitivedrone.types import (
     CONTROL_HZ,
     Action,

@@ -16,12 +16,12 @@ import numpy as np
 
 from cognitivedrone.errors import MissingExtra, ModelError, PolicyError, import_extra
 from cognitivedrone.files import read_regular, reason_of
+from cognitivedrone.files.schema import check_form
 from cognitivedrone.interfaces import Policy
-from cognitivedrone.json_text import parse_json
 from cognitivedrone.models.openvla.checkpoint import read_header
 from cognitivedrone.policies.small import state_of
-from cognitivedrone.printable import visible
-from cognitivedrone.schema import check_form
+from cognitivedrone.text.json_text import parse_json
+from cognitivedrone.text.printable import visible
 from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, Observation
 
 EXTRA = "lerobot"

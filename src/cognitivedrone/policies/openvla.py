@@ -19,7 +19,7 @@ from cognitivedrone.models.openvla import checkpoint as checkpoints
 from cognitivedrone.models.openvla.checkpoint import Checkpoint, DecoderName, Quantisation
 from cognitivedrone.models.openvla.config import IMAGE
 from cognitivedrone.models.openvla.prepare import BEGIN, prompt_ids, read_encoder
-from cognitivedrone.progress import counted
+from cognitivedrone.terminal.progress import counted
 from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, FloatArray, Image, Observation
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from importlib import resources
 from typing import Any
 
 from cognitivedrone.errors import ReasonerError
-from cognitivedrone.json_text import parse_json
 from cognitivedrone.reasoners.reply import answer_of, quote
 from cognitivedrone.tasks.missions import LONGEST, pad_directive
+from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.types import COLORS, Color, SubGoal
 
 PLAN_TOKENS = 1200

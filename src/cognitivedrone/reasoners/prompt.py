@@ -11,7 +11,7 @@ from typing import Any
 
 from cognitivedrone.errors import PluginError, ReasonerError
 from cognitivedrone.files import read_regular, reason_of
-from cognitivedrone.texts import decoded
+from cognitivedrone.files.texts import decoded
 from cognitivedrone.types import COLORS, SHAPES, SIZES
 
 PLACEHOLDER = "{instruction}"

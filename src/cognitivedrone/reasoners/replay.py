@@ -9,9 +9,9 @@ from typing import Any, Final, get_args
 
 from cognitivedrone.errors import GroundTruthError, PluginError, ReasonerError, ReasonerFault, did_you_mean
 from cognitivedrone.files import check_regular, read_regular, reason_of
+from cognitivedrone.files.texts import decoded
 from cognitivedrone.interfaces import Reasoner
-from cognitivedrone.json_text import parse_json
-from cognitivedrone.texts import decoded
+from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.types import EpisodeContext, Guidance, Image
 
 MAX_FILE_BYTES: Final = 64 * 2**20

@@ -10,8 +10,8 @@ import re
 from dataclasses import replace
 
 from cognitivedrone.errors import ReasonerError, ReasonerFault
-from cognitivedrone.json_text import parse_json
 from cognitivedrone.reasoners.sentences import Description, contradicts, describe, read_sentences
+from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.types import Guidance
 
 MAX_REPLY = 4000

@@ -30,7 +30,6 @@ from cognitivedrone.errors import (
     import_extra,
 )
 from cognitivedrone.interfaces import Reasoner
-from cognitivedrone.json_text import parse_json
 from cognitivedrone.reasoners.mission_plan import PLAN_AGAIN, PLAN_SCHEMA, PLAN_TOKENS, plan_prompt, read_plan
 from cognitivedrone.reasoners.prompt import (
     AGAIN,
@@ -44,6 +43,7 @@ from cognitivedrone.reasoners.prompt import (
 from cognitivedrone.reasoners.reply import quote, read_reply, unfinished
 from cognitivedrone.remote.proxy import proxy_hint
 from cognitivedrone.remote.tls import tls_fault
+from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.types import Guidance, Image, SubGoal
 
 _Answer = TypeVar("_Answer")

@@ -16,11 +16,11 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from cognitivedrone.errors import CognitiveDroneError, MessageError, PluginError, ServerError, import_extra
-from cognitivedrone.printable import visible
 from cognitivedrone.remote.codec import EXTRA, pack, unpack
 from cognitivedrone.remote.messages import OURS, PROTOCOL, TOKEN_VARIABLE, Message, raise_error
 from cognitivedrone.remote.proxy import proxy_hint
 from cognitivedrone.remote.tls import tls_fault
+from cognitivedrone.text.printable import visible
 
 LARGEST_ANSWER = 16 << 20
 """Maximum size of a server's message, bytes."""

@@ -25,7 +25,7 @@ from cognitivedrone.errors import (
     ReasonerFault,
     ServerError,
 )
-from cognitivedrone.json_text import parse_json
+from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.types import IMAGE_SIZE, EpisodeContext, Guidance, Image, Observation
 
 PROTOCOL: Final = 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ssl
 from collections.abc import Iterator
 
-from cognitivedrone.printable import visible
+from cognitivedrone.text.printable import visible
 
 _MISMATCH = (62, 64)  # X509_V_ERR_HOSTNAME_MISMATCH, X509_V_ERR_IP_ADDRESS_MISMATCH
 _TIME = {9: "is not valid yet", 10: "has expired"}

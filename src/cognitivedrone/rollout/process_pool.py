@@ -24,11 +24,11 @@ from typing import Any
 
 from cognitivedrone import system
 from cognitivedrone.errors import CognitiveDroneError, FirstFrameError, RunError, plain_warnings
-from cognitivedrone.processes import end_with_parent, starting
+from cognitivedrone.files.temporary import TemporaryFolder
 from cognitivedrone.rollout import cards
 from cognitivedrone.rollout.cards import Cards
 from cognitivedrone.rollout.pool import Answer, CallClock, Item, Pool, Work, Worker, WorkerCrash, WorkerLost
-from cognitivedrone.temporary import TemporaryFolder
+from cognitivedrone.system.processes import end_with_parent, starting
 
 JOIN_TIMEOUT_S = 5.0
 """Time that a worker may take to exit, s."""

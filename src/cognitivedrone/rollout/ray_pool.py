@@ -17,12 +17,12 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from cognitivedrone.cluster import ray_cluster
 from cognitivedrone.errors import CognitiveDroneError, RunError
-from cognitivedrone.printable import visible
+from cognitivedrone.rollout.cluster import ray_cluster
 from cognitivedrone.rollout.pool import Answer, Item, Pool, Work, WorkerCrash, WorkerLost
 from cognitivedrone.rollout.process_pool import JOIN_TIMEOUT_S, ProcessPool
 from cognitivedrone.sim.renderers import REMEMBERED, VISIBLE
+from cognitivedrone.text.printable import visible
 
 _LONGEST = 300  # characters of Ray's own text
 LOSSES = 3

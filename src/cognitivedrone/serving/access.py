@@ -12,9 +12,9 @@ from pathlib import Path
 
 from cognitivedrone.errors import MessageError, ServerError
 from cognitivedrone.files import read_regular, reason_of
+from cognitivedrone.files.texts import decoded
 from cognitivedrone.remote.messages import TOKEN_VARIABLE
 from cognitivedrone.serving.config import LOOPBACK
-from cognitivedrone.texts import decoded
 
 SHORTEST_TOKEN = 16
 """In characters; shorter ones can be guessed."""

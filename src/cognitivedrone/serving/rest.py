@@ -16,13 +16,13 @@ import numpy as np
 from starlette.requests import Request
 
 from cognitivedrone.errors import MessageError
-from cognitivedrone.json_text import parse_json
 from cognitivedrone.remote.codec import array_of
 from cognitivedrone.remote.messages import IMAGE, PROMPT, STATE, TIME, read_observation
 from cognitivedrone.serving.access import RateLimit
 from cognitivedrone.serving.config import Limits
 from cognitivedrone.serving.engine import Engine
 from cognitivedrone.serving.sessions import Served, Session
+from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.types import IMAGE_SIZE, EpisodeContext
 
 BODY_S = 30.0

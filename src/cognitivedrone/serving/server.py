@@ -13,7 +13,6 @@ import uvicorn
 
 from cognitivedrone.errors import ServerError
 from cognitivedrone.files import reason_of
-from cognitivedrone.interrupts import until_asked
 from cognitivedrone.pilot import open_pilot
 from cognitivedrone.remote.connection import keep_alive
 from cognitivedrone.serving.access import token_of
@@ -23,6 +22,7 @@ from cognitivedrone.serving.config import ServePlan
 from cognitivedrone.serving.protocols import UNREAD_S, limited
 from cognitivedrone.serving.sessions import Served
 from cognitivedrone.system import close_unread
+from cognitivedrone.system.interrupts import until_asked
 
 STOP_S = 2
 """Time that clients have to leave when the server stops, s."""

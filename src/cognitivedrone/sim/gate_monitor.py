@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from cognitivedrone.obstacles import solids_of
+from cognitivedrone.layout.obstacles import solids_of
 from cognitivedrone.types import Stage, Vector, Vectors
 from cognitivedrone.world import geometry
 

@@ -25,11 +25,11 @@ from queue import SimpleQueue
 from typing import Any, Final, TypeVar
 
 from cognitivedrone.errors import FirstFrameError, RenderError
-from cognitivedrone.printable import visible
-from cognitivedrone.processes import environment
-from cognitivedrone.shortages import tight_limit, way_out_of
 from cognitivedrone.sim import contexts, renderers
 from cognitivedrone.system import OPENGL, OPENGL_TEST, after_fork, c_library
+from cognitivedrone.system.processes import environment
+from cognitivedrone.system.shortages import tight_limit, way_out_of
+from cognitivedrone.text.printable import visible
 
 BACKENDS: Final = tuple(OPENGL)
 _REMEMBERED: Final = renderers.REMEMBERED

@@ -7,7 +7,7 @@ import re
 from typing import Final
 
 from cognitivedrone.errors import RenderError
-from cognitivedrone.printable import visible
+from cognitivedrone.text.printable import visible
 
 CHOICE: Final = "COGNITIVEDRONE_RENDERER"
 """The variable by which a person chooses: cpu or gpu."""

@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 
 from cognitivedrone.layout import EYE, PANEL_HEIGHT, PANEL_RISE, STARTS, draw_layout
-from cognitivedrone.obstacles import Solids, solids_of
-from cognitivedrone.path_planning import JOIN_M, gate_places, ways_to
+from cognitivedrone.layout.obstacles import Solids, solids_of
+from cognitivedrone.layout.path_planning import JOIN_M, gate_places, ways_to
 from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.generate import TRAIN, Draw
 from cognitivedrone.tasks.hard import PLAIN_THINGS

@@ -21,10 +21,10 @@ from typing import Any, cast, get_args
 
 from cognitivedrone.errors import TaskError, did_you_mean
 from cognitivedrone.files import read_regular, reason_of, replace_file
-from cognitivedrone.printable import unprintable
+from cognitivedrone.files.texts import decoded, load_json
 from cognitivedrone.tasks.families import FAMILIES
 from cognitivedrone.tasks.validate import check_text, validate_task
-from cognitivedrone.texts import decoded, load_json
+from cognitivedrone.text.printable import unprintable
 from cognitivedrone.types import (
     ALL_CATEGORIES,
     Category,

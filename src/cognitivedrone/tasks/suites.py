@@ -16,12 +16,12 @@ import numpy as np
 
 from cognitivedrone.errors import TaskError, did_you_mean
 from cognitivedrone.files import own_files
-from cognitivedrone.json_text import parse_json
-from cognitivedrone.printable import unprintable
 from cognitivedrone.tasks.directives import HOLD, write_directive
 from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, HARD_FAMILIES, generator
 from cognitivedrone.tasks.format import read_tasks, task_from_json, task_to_json
 from cognitivedrone.tasks.generate import TRAIN, Draw, Generator, Pools, Puzzle, Scene
+from cognitivedrone.text.json_text import parse_json
+from cognitivedrone.text.printable import unprintable
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Task, Track
 
 VERSION = "open-v1"

@@ -17,10 +17,10 @@ from cognitivedrone.layout import (
     START,
     START_HALF_EXTENT,
 )
-from cognitivedrone.obstacles import LANDMARK_SIDE, Solids, solids_of
-from cognitivedrone.printable import unprintable
+from cognitivedrone.layout.obstacles import LANDMARK_SIDE, Solids, solids_of
 from cognitivedrone.tasks.directives import HOLD, declines, parse_directive
 from cognitivedrone.tasks.missions import lands
+from cognitivedrone.text.printable import unprintable
 from cognitivedrone.types import ALL_CATEGORIES, COLORS, SHAPES, SIZES, Gate, Layout, Task
 
 MAX_TEXT = 1000

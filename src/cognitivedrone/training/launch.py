@@ -12,7 +12,7 @@ from pathlib import Path
 import tyro
 
 from cognitivedrone.errors import CognitiveDroneError, TrainingError
-from cognitivedrone.processes import end_with_starter
+from cognitivedrone.system.processes import end_with_starter
 from cognitivedrone.training.config import TrainPlan
 from cognitivedrone.training.processes import fail, run_processes, training_lock
 from cognitivedrone.training.recipes import find_recipe

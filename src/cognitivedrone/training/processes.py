@@ -18,10 +18,10 @@ from typing import NoReturn
 
 from cognitivedrone import system
 from cognitivedrone.errors import CognitiveDroneError, TrainingError
-from cognitivedrone.locks import sole_writer
-from cognitivedrone.printable import message
-from cognitivedrone.processes import end_with_starter, environment, starter, starting
-from cognitivedrone.temporary import TemporaryFolder
+from cognitivedrone.files.locks import sole_writer
+from cognitivedrone.files.temporary import TemporaryFolder
+from cognitivedrone.system.processes import end_with_starter, environment, starter, starting
+from cognitivedrone.text.printable import message
 
 ERROR_FILE = "COGNITIVEDRONE_TRAINING_ERROR"
 """The variable that names the file."""

@@ -11,7 +11,7 @@ import importlib
 import os
 import sys
 
-from cognitivedrone.processes import isolated
+from cognitivedrone.system.processes import isolated
 
 
 def _load() -> None:

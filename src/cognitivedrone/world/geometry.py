@@ -29,7 +29,7 @@ from cognitivedrone.layout import PANEL_RISE as PANEL_RISE
 from cognitivedrone.layout import START as START
 from cognitivedrone.layout import START_HALF_EXTENT as START_HALF_EXTENT
 from cognitivedrone.layout import START_MIN_HEIGHT as START_MIN_HEIGHT
-from cognitivedrone.obstacles import LANDMARK_SIDE, Solids, solids_of
+from cognitivedrone.layout.obstacles import LANDMARK_SIDE, Solids, solids_of
 from cognitivedrone.types import FloatArray, Gate, Size, Stage, Vector, Vectors
 
 BAR_WIDTH: Final = 0.15

@@ -21,8 +21,8 @@ from PIL import Image as PillowImage
 
 from cognitivedrone.errors import AppearanceError, did_you_mean
 from cognitivedrone.files import digest_of_file
-from cognitivedrone.json_text import parse_json
 from cognitivedrone.pictures import read_picture
+from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.types import FloatArray, Image
 
 EYE_M: Final = 1.6

@@ -38,16 +38,16 @@ from cognitivedrone.envs.track_runner import (
 from cognitivedrone.envs.worlds import Worlds
 from cognitivedrone.errors import PluginError, ReasonerError, RunError
 from cognitivedrone.files import create, remove, writing
+from cognitivedrone.files.locks import sole_writer
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import Reasoner
-from cognitivedrone.interrupts import watched
-from cognitivedrone.locks import sole_writer
-from cognitivedrone.printable import shown_address
-from cognitivedrone.progress import counted
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, DroneWorld, Start
 from cognitivedrone.sim.gl import renderer_name
+from cognitivedrone.system.interrupts import watched
 from cognitivedrone.tasks import Suite
+from cognitivedrone.terminal.progress import counted
+from cognitivedrone.text.printable import shown_address
 from cognitivedrone.types import CONTROL_HZ, REASONER_HZ, EpisodeContext, GroundTruth, Guidance, Image, Stage
 
 SCHEMA: Final = "cognitivedrone.reason/1"

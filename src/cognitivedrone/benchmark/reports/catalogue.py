@@ -12,13 +12,13 @@ from rich.text import Text
 
 from cognitivedrone.errors import PolicyError, RenderError
 from cognitivedrone.policies import POLICIES
-from cognitivedrone.printable import visible
 from cognitivedrone.reasoners import NONE, REASONERS
 from cognitivedrone.registry import load, usage
 from cognitivedrone.sim import renderers
 from cognitivedrone.sim.airframe import AIRFRAMES
 from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.tasks import ABOUT, FAMILIES, SUITES, load_suite
+from cognitivedrone.text.printable import visible
 from cognitivedrone.world import places
 
 

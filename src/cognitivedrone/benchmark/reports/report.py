@@ -20,8 +20,8 @@ from cognitivedrone.benchmark.scores.results import Results
 from cognitivedrone.benchmark.scores.run_types import Trace
 from cognitivedrone.benchmark.scores.scoring import OUTCOMES, PUBLISHED_REACH_M, RULES, Score, Summary, chance_of, score
 from cognitivedrone.envs.captions import readable
-from cognitivedrone.pages import render_page
 from cognitivedrone.plan import Rule
+from cognitivedrone.text.pages import render_page
 from cognitivedrone.types import Category, EpisodeResult, Outcome, StageResult, Track
 
 REPORT_FILE: Final = "report.html"

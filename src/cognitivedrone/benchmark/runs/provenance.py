@@ -11,9 +11,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from cognitivedrone import checkout, system
-from cognitivedrone.interrupts import is_ctrl_c
 from cognitivedrone.policies import POLICIES
 from cognitivedrone.reasoners import REASONERS
+from cognitivedrone.system.interrupts import is_ctrl_c
 
 
 def platform_facts(command: str, policy: str = "", reasoner: str = "") -> dict[str, str]:

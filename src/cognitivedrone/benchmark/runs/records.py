@@ -32,8 +32,8 @@ from cognitivedrone.files import (
     remove_left_over,
     writing,
 )
-from cognitivedrone.json_text import parse_json
-from cognitivedrone.locks import take_lock
+from cognitivedrone.files.locks import take_lock
+from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.types import EpisodeResult, Track
 
 RUN_FILE: Final = "run.json"

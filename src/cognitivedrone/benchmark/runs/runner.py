@@ -33,15 +33,15 @@ from cognitivedrone.benchmark.scores.run_types import Rollout
 from cognitivedrone.benchmark.scores.scoring import counts, passes
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import check_no_link, safe_name, writing
-from cognitivedrone.interrupts import watched
 from cognitivedrone.pilot import Pilot, on_card
-from cognitivedrone.printable import shown_address
-from cognitivedrone.progress import progress_bar
 from cognitivedrone.rollout import cards
 from cognitivedrone.rollout.pool import InProcess, Pool, WorkerCrash
 from cognitivedrone.rollout.process_pool import ProcessPool
 from cognitivedrone.rollout.ray_pool import RayPool
+from cognitivedrone.system.interrupts import watched
 from cognitivedrone.terminal import console
+from cognitivedrone.terminal.progress import progress_bar
+from cognitivedrone.text.printable import shown_address
 from cognitivedrone.types import EpisodeResult, Track
 from cognitivedrone.vehicles.external import LinkReport
 

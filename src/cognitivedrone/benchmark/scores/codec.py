@@ -21,10 +21,9 @@ import numpy as np
 from cattrs.gen import make_dict_unstructure_fn, override
 from numpy.typing import NDArray
 
-from cognitivedrone import schema
 from cognitivedrone.errors import RunError
-from cognitivedrone.files import read_regular, reason_of
-from cognitivedrone.json_text import parse_json
+from cognitivedrone.files import read_regular, reason_of, schema
+from cognitivedrone.text.json_text import parse_json
 
 T = TypeVar("T")
 _SURROGATE = re.compile("[\ud800-\udfff]")

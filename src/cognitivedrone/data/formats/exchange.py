@@ -17,10 +17,10 @@ from cognitivedrone.data.pages import check_pages
 from cognitivedrone.data.shards import unpacked_bytes
 from cognitivedrone.errors import DataError, TaskError
 from cognitivedrone.files import check_regular, create, read_regular, reason_of, remove, replacing_folder
-from cognitivedrone.json_text import parse_json
-from cognitivedrone.locks import LOCK_FILE, holds_files, sole_writer
+from cognitivedrone.files.locks import LOCK_FILE, holds_files, sole_writer
 from cognitivedrone.pictures import MAX_SIDE, open_picture
 from cognitivedrone.tasks import task_from_json, task_to_json
+from cognitivedrone.text.json_text import parse_json
 
 MAX_JSON_BYTES = 256 * 2**20
 MAX_ROWS = 10_000_000

@@ -53,7 +53,7 @@ from cognitivedrone.data.formats.lerobot_video import VideoWriter, read_frames
 from cognitivedrone.data.shards import ShardFile, write_shard_file
 from cognitivedrone.errors import DataError
 from cognitivedrone.files import remove, replace_file
-from cognitivedrone.json_text import parse_json
+from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.types import CONTROL_HZ
 
 VERSION = "v3.0"

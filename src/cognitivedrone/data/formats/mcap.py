@@ -42,7 +42,7 @@ from cognitivedrone.data.formats.bags import (
 )
 from cognitivedrone.data.formats.exchange import check_file, episode_from, new_folder, record_of
 from cognitivedrone.errors import DataError
-from cognitivedrone.json_text import parse_json
+from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.types import CONTROL_HZ, FloatArray
 
 ACTION, EPISODE = "/action", "/episode"

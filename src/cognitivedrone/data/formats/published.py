@@ -40,11 +40,11 @@ from cognitivedrone.data.formats.exchange import (
 )
 from cognitivedrone.errors import DataError, TaskError
 from cognitivedrone.files import create, own_files, read_regular, reason_of, safe_name
+from cognitivedrone.files.texts import decoded, read_table
 from cognitivedrone.frames import world_to_heading, wrap_angle, yaw_of
 from cognitivedrone.pictures import MAX_FRAME_BYTES
 from cognitivedrone.tasks import task_from_json, task_to_json
 from cognitivedrone.tasks.format import PUBLISHED_TYPES
-from cognitivedrone.texts import decoded, read_table
 from cognitivedrone.types import CONTROL_HZ, FloatArray, Quaternions
 
 COLUMNS = ("frame_id", "dx", "dy", "dz", "angle", "x", "y", "z", "qx", "qy", "qz", "qw")

@@ -41,7 +41,7 @@ from cognitivedrone.data.formats.tfrecord import (
 )
 from cognitivedrone.errors import DataError
 from cognitivedrone.files import create
-from cognitivedrone.json_text import parse_json
+from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.types import IMAGE_SIZE
 
 NAME = "cognitivedrone"

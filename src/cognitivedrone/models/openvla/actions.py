@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError, did_you_mean
+from cognitivedrone.files.schema import check_form
 from cognitivedrone.models.openvla.config import ACTION_SIZE, WORDS
-from cognitivedrone.schema import check_form
 from cognitivedrone.types import Commands, FloatArray
 
 BINS = 256

@@ -19,12 +19,12 @@ from typing import Any, Literal
 
 from cognitivedrone.errors import ModelError, import_extra
 from cognitivedrone.files import open_regular, read_regular
-from cognitivedrone.json_text import parse_json
+from cognitivedrone.files.schema import check_form
 from cognitivedrone.models.openvla.actions import ActionStatistics, choose_statistics
 from cognitivedrone.models.openvla.config import Config, read_config
 from cognitivedrone.models.openvla.prepare import ImagePreparation, check_tokenizer, read_preparation
 from cognitivedrone.models.openvla.tensors import Shapes, check_tensors, head_tensors, unused_tensors, used_tensors
-from cognitivedrone.schema import check_form
+from cognitivedrone.text.json_text import parse_json
 
 Quantisation = Literal["none", "int8", "int4"]
 DecoderName = Literal["ar", "parallel"]

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from cognitivedrone.errors import ModelError
-from cognitivedrone.schema import decode
+from cognitivedrone.files.schema import decode
 
 IMAGE = 224
 """Height and width of the towers' input, pixels."""

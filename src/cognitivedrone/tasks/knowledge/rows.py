@@ -9,8 +9,8 @@ from pathlib import Path
 
 from cognitivedrone.errors import TaskError, did_you_mean
 from cognitivedrone.files import read_regular
-from cognitivedrone.printable import unprintable
-from cognitivedrone.texts import decoded, folded, read_table
+from cognitivedrone.files.texts import decoded, folded, read_table
+from cognitivedrone.text.printable import unprintable
 
 MAX_BYTES = 8 * 2**20
 """Largest file."""

@@ -9,9 +9,9 @@ from pathlib import Path
 from types import MappingProxyType
 
 from cognitivedrone.errors import TaskError, did_you_mean
-from cognitivedrone.printable import unprintable
 from cognitivedrone.tasks import vocabulary
 from cognitivedrone.tasks.knowledge.rows import MAX_VALUE, Row, read_rows
+from cognitivedrone.text.printable import unprintable
 
 FOLDER = Path(__file__).parent
 FILES: Mapping[str, tuple[str, tuple[str, ...]]] = {

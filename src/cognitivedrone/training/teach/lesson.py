@@ -16,6 +16,7 @@ from pathlib import Path
 
 from cognitivedrone.errors import LabelError, TrainingError
 from cognitivedrone.files import own_files, read_regular
+from cognitivedrone.files.texts import folded
 from cognitivedrone.labels import load_pack
 from cognitivedrone.labels.folder import FolderPack
 from cognitivedrone.models.text import NUMBER_WORDS
@@ -23,7 +24,6 @@ from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.format import MAX_FILE_BYTES, read_tasks
 from cognitivedrone.tasks.vocabulary import LETTERS, LOGOS
-from cognitivedrone.texts import folded
 from cognitivedrone.training.perception.attributes import concept_name
 from cognitivedrone.training.teach.facts import facts_file, stated
 from cognitivedrone.training.teach.statement import Statement

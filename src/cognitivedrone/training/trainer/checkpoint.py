@@ -16,10 +16,10 @@ from torch import Tensor, nn
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.files import check_regular, open_regular, reason_of, replacing
-from cognitivedrone.json_text import parse_json
+from cognitivedrone.files.schema import check_form
 from cognitivedrone.models.checksum import BLANK, Finding, check, seal
-from cognitivedrone.printable import visible
-from cognitivedrone.schema import check_form
+from cognitivedrone.text.json_text import parse_json
+from cognitivedrone.text.printable import visible
 
 CHECKPOINT = "checkpoint.safetensors"
 """Name of the file in the folder of a run."""

@@ -12,8 +12,8 @@ import torch
 from torch import nn
 
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.processes import end_with_parent, starting
 from cognitivedrone.rollout import cards
+from cognitivedrone.system.processes import end_with_parent, starting
 from cognitivedrone.training.trainer.checkpoint import read_checkpoint, restore
 from cognitivedrone.training.trainer.training_task import Batch, TrainingTask, Watched
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from torch.utils.tensorboard import SummaryWriter
 
 from cognitivedrone.files import read_regular, replace_file
-from cognitivedrone.json_text import NotJSON, parse_json
+from cognitivedrone.text.json_text import NotJSON, parse_json
 from cognitivedrone.training.trainer.training_task import Row
 
 METRICS = "metrics.jsonl"

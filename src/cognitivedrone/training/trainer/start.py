@@ -13,10 +13,10 @@ from torch import Tensor, nn
 
 from cognitivedrone.errors import ModelError, TrainingError
 from cognitivedrone.files import read_regular
+from cognitivedrone.files.schema import check_form
 from cognitivedrone.models.onnx_file import LARGEST_BYTES
 from cognitivedrone.models.small_file import FORMER, KIND
 from cognitivedrone.models.text_encoder import TextEncoderModel, encoder_of
-from cognitivedrone.schema import check_form
 from cognitivedrone.training.trainer.checkpoint import origin_of, read_checkpoint
 
 Part = Literal["policy", "language", "reader", "selector"]

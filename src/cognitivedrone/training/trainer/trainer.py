@@ -21,8 +21,8 @@ from torch import nn
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.files import check_no_link, remove, remove_left_over, replace_file, writing
-from cognitivedrone.progress import progress_bar
 from cognitivedrone.terminal import console
+from cognitivedrone.terminal.progress import progress_bar
 from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint, restore, save_checkpoint, step_of
 from cognitivedrone.training.trainer.precision import trains_in_bf16
 from cognitivedrone.training.trainer.prefetch import LEARNERS, PrefetchQueue, learner_path

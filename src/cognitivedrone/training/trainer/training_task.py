@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.json_text import parse_json
+from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.types import FloatArray, Image
 
 Batch: TypeAlias = dict[str, NDArray[np.generic]]

@@ -10,7 +10,7 @@ import os
 import sys
 from collections.abc import Iterable, Iterator
 
-from cognitivedrone.json_text import parse_json
+from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.vehicles.gazebo.bindings import load_bindings
 
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cognitivedrone.errors import GazeboError
-from cognitivedrone.temporary import TemporaryFolder
+from cognitivedrone.files.temporary import TemporaryFolder
 
 COMMANDS = ("gz", "ign")
 LIBRARIES = tuple(f"sdformat{major}" for major in range(16, 11, -1))

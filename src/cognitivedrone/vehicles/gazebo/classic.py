@@ -23,10 +23,10 @@ from xml.etree import ElementTree as ET
 
 from cognitivedrone.errors import GazeboError, did_you_mean
 from cognitivedrone.files import own_files, read_regular, reason_of, replace_file, safe_name
+from cognitivedrone.files.texts import folded
 from cognitivedrone.labels.images import SUFFIXES, read_image
 from cognitivedrone.pictures import MAX_FILE_BYTES
 from cognitivedrone.tasks.format import PUBLISHED_TYPES, read_json, task_from_json, write_tasks
-from cognitivedrone.texts import folded
 from cognitivedrone.types import CATEGORIES, Task
 
 TASKS_FILE, LABELS_FOLDER = "tasks.json", "labels"

@@ -24,10 +24,10 @@ from PIL import Image as Pictures
 from cognitivedrone.envs.track_runner import next_place, stage_of
 from cognitivedrone.errors import GazeboError, TaskError, did_you_mean
 from cognitivedrone.files import replace_file
+from cognitivedrone.files.locks import holds_files, sole_writer
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.labels import load_pack
-from cognitivedrone.locks import holds_files, sole_writer
 from cognitivedrone.tasks import Suite, open_suite
 from cognitivedrone.types import Image, Stage, Task, Track
 from cognitivedrone.vehicles.gazebo.meshes import MATERIALS, MATERIALS_FILE, obj_text, world_meshes

@@ -11,7 +11,7 @@ import numpy as np
 from cognitivedrone.control.health import Health
 from cognitivedrone.control.safety import Decision, Order, SafetyConfig, order
 from cognitivedrone.errors import LinkError
-from cognitivedrone.temporary import TemporaryFolder
+from cognitivedrone.files.temporary import TemporaryFolder
 from cognitivedrone.types import Action
 from cognitivedrone.vehicles.contract import Request
 from cognitivedrone.vehicles.external import ExternalWorld

@@ -16,9 +16,9 @@ from contextlib import suppress
 from typing import Final, Protocol
 
 from cognitivedrone.errors import GazeboError
-from cognitivedrone.json_text import parse_json
-from cognitivedrone.processes import environment
 from cognitivedrone.system import own_session
+from cognitivedrone.system.processes import environment
+from cognitivedrone.text.json_text import parse_json
 
 _PROGRAM: Final = "cognitivedrone.vehicles.gazebo.caller"
 

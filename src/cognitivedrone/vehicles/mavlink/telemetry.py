@@ -13,7 +13,7 @@ import numpy as np
 
 from cognitivedrone.errors import import_extra
 from cognitivedrone.frames import enu_to_ned, flu_to_frd, world_to_heading
-from cognitivedrone.printable import visible
+from cognitivedrone.text.printable import visible
 from cognitivedrone.types import FloatArray
 from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, Autopilot
 

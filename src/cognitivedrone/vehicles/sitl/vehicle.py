@@ -15,8 +15,8 @@ import numpy as np
 from cognitivedrone.control.health import Health
 from cognitivedrone.control.safety import Decision, Order
 from cognitivedrone.errors import LinkError, RunError
+from cognitivedrone.files.temporary import TemporaryFolder
 from cognitivedrone.sim.airframe import IRIS, Airframe
-from cognitivedrone.temporary import TemporaryFolder
 from cognitivedrone.types import Action, FloatArray
 from cognitivedrone.vehicles.camera import Shot
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone

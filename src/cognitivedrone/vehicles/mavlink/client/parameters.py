@@ -22,7 +22,7 @@ import numpy as np
 
 from cognitivedrone.errors import LinkError
 from cognitivedrone.files import read_regular, reason_of, remove, replace_file, safe_name
-from cognitivedrone.json_text import parse_json
+from cognitivedrone.text.json_text import parse_json
 
 ACTS_IN_FLIGHT: Final = frozenset(
     {

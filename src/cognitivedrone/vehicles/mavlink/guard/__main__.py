@@ -12,8 +12,8 @@ from contextlib import suppress
 
 from cognitivedrone.control.safety import SafetyConfig
 from cognitivedrone.errors import CognitiveDroneError
-from cognitivedrone.json_text import parse_json
 from cognitivedrone.system import come_first, end_of
+from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.mavlink.client.tlog import PacketLog
 from cognitivedrone.vehicles.mavlink.guard.messages import Reply, from_json

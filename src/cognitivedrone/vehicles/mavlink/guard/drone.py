@@ -28,8 +28,8 @@ import numpy as np
 
 from cognitivedrone.control.safety import Decision, SafetyConfig
 from cognitivedrone.errors import LinkError, import_extra
-from cognitivedrone.processes import environment
 from cognitivedrone.system import inheriting, own_session
+from cognitivedrone.system.processes import environment
 from cognitivedrone.types import Action, FloatArray, Observation
 from cognitivedrone.vehicles.camera import Camera
 from cognitivedrone.vehicles.checklist import Checklist

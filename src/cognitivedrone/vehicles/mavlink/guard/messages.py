@@ -18,7 +18,7 @@ import numpy as np
 from cattrs.preconf.json import make_converter
 
 from cognitivedrone.choices import DecisionKind
-from cognitivedrone.json_text import parse_json
+from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.types import Action, FloatArray
 from cognitivedrone.vehicles.mavlink.client.core import Phase
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry

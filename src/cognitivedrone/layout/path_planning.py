@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.layout import GATE_HEIGHT, GATE_XY, GATE_YAWS
-from cognitivedrone.obstacles import Solids, blocks_of, segments_meet
+from cognitivedrone.layout.obstacles import Solids, blocks_of, segments_meet
 from cognitivedrone.types import FloatArray, Landmark, Layout, Obstacle, Vector, Vectors
 
 JOIN_M: Final = 1.4

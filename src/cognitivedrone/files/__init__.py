@@ -35,8 +35,8 @@ from typing import BinaryIO
 
 from cognitivedrone import system
 from cognitivedrone.errors import CognitiveDroneError
-from cognitivedrone.shortages import way_out_of
 from cognitivedrone.system import FOLDER, NO_LINK, NO_WAIT, OURS
+from cognitivedrone.system.shortages import way_out_of
 
 LONGEST_NAME = 100
 """Maximum length of the result of `safe_name` in bytes of UTF-8; file systems allow 255."""

@@ -1,7 +1,7 @@
 """The lock of a folder that has one writer, the same for everything that writes a folder over time.
 
-`python -m cognitivedrone.locks DESCRIPTOR FOLDER` takes it for a shell script, on a descriptor that the script holds
-open: `exec 9< FOLDER` before it.
+`python -m cognitivedrone.files.locks DESCRIPTOR FOLDER` takes it for a shell script, on a descriptor that the script
+holds open: `exec 9< FOLDER` before it.
 """
 
 from __future__ import annotations

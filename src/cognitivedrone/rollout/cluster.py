@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from typing import Any
 
 from cognitivedrone.errors import CognitiveDroneError, UsageError, import_extra
-from cognitivedrone.processes import isolated
 from cognitivedrone.system import refusal
-from cognitivedrone.usage_reports import switch_off
+from cognitivedrone.system.processes import isolated
+from cognitivedrone.system.usage_reports import switch_off
 
 
 def import_ray() -> Any:

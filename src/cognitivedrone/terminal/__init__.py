@@ -12,7 +12,7 @@ from typing import IO, Any
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
-from cognitivedrone.printable import visible
+from cognitivedrone.text.printable import visible
 
 
 class _PlainConsole(Console):

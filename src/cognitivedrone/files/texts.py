@@ -13,7 +13,7 @@ import unicodedata
 from collections.abc import Collection
 from typing import Any
 
-from cognitivedrone.json_text import NotJSON, parse_json
+from cognitivedrone.text.json_text import NotJSON, parse_json
 
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8"),

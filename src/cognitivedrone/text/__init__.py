@@ -1,0 +1,1 @@
+"""Text as it is read, shown and put on pages."""
