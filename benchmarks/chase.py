@@ -15,9 +15,9 @@ import tyro
 from cognitivedrone.envs.track_runner import scenery_of, stage_of
 from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.labels import load_pack
-from cognitivedrone.sim.camera import Cameras
-from cognitivedrone.sim.chase import FILM_SIZE, LIVE_SIZE, ChaseView
-from cognitivedrone.sim.gl import GLThread, renderer_name
+from cognitivedrone.sim.drawing.camera import Cameras
+from cognitivedrone.sim.drawing.chase import FILM_SIZE, LIVE_SIZE, ChaseView
+from cognitivedrone.sim.drawing.gl import GLThread, renderer_name
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.world.appearance import PLAIN
 

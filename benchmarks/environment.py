@@ -26,7 +26,7 @@ import gymnasium
 import numpy as np
 
 from cognitivedrone.benchmark.measurements import OUT_HELP, keep
-from cognitivedrone.sim.gl import renderer_name
+from cognitivedrone.sim.drawing.gl import renderer_name
 from cognitivedrone.types import IMAGE_SIZE
 
 WHAT = "Control steps of the environments, with full dynamics and 256x256 frames"

@@ -29,10 +29,10 @@ from cognitivedrone.benchmark.runs.job import resolve
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import CognitiveDroneError, PolicyError
 from cognitivedrone.labels import load_pack
-from cognitivedrone.models.picture_classifier import PictureClassifier
+from cognitivedrone.models.eyes.picture_classifier import PictureClassifier
 from cognitivedrone.models.reasoner_file import GateSelectorModel, LanguageModel, PanelReaderModel
 from cognitivedrone.models.small_file import SmallModel, describe, read_description
-from cognitivedrone.models.text_encoder import TextEncoderModel
+from cognitivedrone.models.words.text_encoder import TextEncoderModel
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite, load_suite, task_to_json
 from cognitivedrone.terminal import console

@@ -24,8 +24,8 @@ from rendering import WORLDS, pictures, random_stage
 
 from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.frames import quaternion_from_yaw
-from cognitivedrone.sim.camera import Cameras
-from cognitivedrone.sim.gl import renderer_name
+from cognitivedrone.sim.drawing.camera import Cameras
+from cognitivedrone.sim.drawing.gl import renderer_name
 from cognitivedrone.world.appearance import PLAIN, Appearance, photo_appearance, varied_appearance
 from cognitivedrone.world.geometry import START
 from cognitivedrone.world.places import names

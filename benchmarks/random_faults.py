@@ -42,8 +42,8 @@ from peer import StillCamera
 from sitl_vehicle import come_first
 
 from cognitivedrone.benchmark.measurements import keep
-from cognitivedrone.control.fence import Fence, outside_by
 from cognitivedrone.control.safety import SafetyConfig
+from cognitivedrone.control.safety.fence import Fence, outside_by
 from cognitivedrone.errors import LinkError
 from cognitivedrone.frames import world_to_heading, yaw_of
 from cognitivedrone.sim.simulator import Simulator

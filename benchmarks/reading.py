@@ -24,7 +24,7 @@ from PIL import Image
 from cognitivedrone.benchmark.measurements import keep
 from cognitivedrone.benchmark.reasoning.reason_scoring import calibration_error
 from cognitivedrone.labels.extended import extended_pack
-from cognitivedrone.models.panel_reader import Reader, ReaderConfig
+from cognitivedrone.models.eyes.panel_reader import Reader, ReaderConfig
 from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks import vocabulary
 from cognitivedrone.training.perception import panel_crops

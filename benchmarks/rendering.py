@@ -16,8 +16,8 @@ import numpy as np
 
 from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.frames import quaternion_from_yaw
-from cognitivedrone.sim.camera import Cameras
-from cognitivedrone.sim.gl import renderer_name
+from cognitivedrone.sim.drawing.camera import Cameras
+from cognitivedrone.sim.drawing.gl import renderer_name
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Stage
 from cognitivedrone.world.appearance import PLAIN, Appearance, varied_appearance
 from cognitivedrone.world.geometry import START

@@ -16,8 +16,8 @@ import numpy as np
 from rendering import WORLDS, frame_rate
 
 from cognitivedrone.benchmark.measurements import OUT_HELP, keep
-from cognitivedrone.sim.gl import renderer_name
-from cognitivedrone.sim.renderers import contexts_for, why
+from cognitivedrone.sim.drawing.gl import renderer_name
+from cognitivedrone.sim.drawing.renderers import contexts_for, why
 from cognitivedrone.world.appearance import PLAIN
 from cognitivedrone.world.assets import MAX_SLOTS
 

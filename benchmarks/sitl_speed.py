@@ -22,7 +22,7 @@ from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.airframe import IRIS
-from cognitivedrone.sim.camera import Cameras
+from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import CONTROL_HZ
 from cognitivedrone.vehicles.external import ExternalWorld

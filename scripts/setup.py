@@ -166,7 +166,7 @@ def ensure_opengl() -> None:
     stamp = VENV / "renders"
     if stamp.exists():
         return
-    probe = [str(PYTHON), "-c", "from cognitivedrone.sim.gl import backend; backend()"]
+    probe = [str(PYTHON), "-c", "from cognitivedrone.sim.drawing.gl import backend; backend()"]
     without = "no picture can be rendered, so only policies that look at none can be scored (oracle, hover)"
     for attempt in range(2):
         done = subprocess.run(probe, check=False, capture_output=True)

@@ -21,8 +21,8 @@ from cognitivedrone.layout import (
     draw_layout,
     is_clear,
 )
+from cognitivedrone.sim.drawing.views import first_person_view
 from cognitivedrone.sim.gate_monitor import BOUNDS_HIGH, BOUNDS_LOW, REACH_M, judge
-from cognitivedrone.sim.views import first_person_view
 from cognitivedrone.tasks import load_suite, train_task
 from cognitivedrone.tasks.format import task_from_json, task_to_json
 from cognitivedrone.types import COLORS, DroneState, Gate, GatePlace, Size, Stage

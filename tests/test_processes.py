@@ -17,7 +17,7 @@ from waiting import soon
 
 from cognitivedrone.cli import main
 from cognitivedrone.errors import GazeboError
-from cognitivedrone.sim import gl
+from cognitivedrone.sim.drawing import gl
 from cognitivedrone.system.processes import SAFE_PATH, STARTER, end_with_parent, environment, starting
 from cognitivedrone.vehicles.gazebo.services import ServiceProcess
 

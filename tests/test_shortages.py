@@ -74,9 +74,7 @@ def test_a_command_says_it_in_one_sentence(raised: Exception, capsys, monkeypatc
 
 @pytest.mark.parametrize(("option", "limit"), [("-n", 8), ("-v", 400_000)])
 def test_opengl_under_a_limit_is_not_to_be_installed(option: str, limit: int) -> None:
-    program = (
-        "from cognitivedrone.sim.gl import backend, RenderError\ntry: backend()\nexcept RenderError as e: print(e)"
-    )
+    program = "from cognitivedrone.sim.drawing.gl import *\ntry: backend()\nexcept RenderError as e: print(e)"
     done = subprocess.run(
         ["/bin/sh", "-c", WITH_LIMIT, "sh", option, str(limit), sys.executable, "-c", program],
         env=os.environ | {"COGNITIVEDRONE_GL": "", "MUJOCO_GL": ""}, capture_output=True, text=True, check=False,

@@ -13,10 +13,10 @@ from rich.console import Console
 sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles"))
 
 from cognitivedrone.apps.config import FlyPlan
-from cognitivedrone.apps.evidence import Evidence, taught_names
 from cognitivedrone.apps.fly import fly_mission
-from cognitivedrone.apps.request import Understanding
-from cognitivedrone.apps.scene import check_evidence, choose_scene, named_scene, plain_instruction
+from cognitivedrone.apps.understanding.evidence import Evidence, taught_names
+from cognitivedrone.apps.understanding.request import Understanding
+from cognitivedrone.apps.understanding.scene import check_evidence, choose_scene, named_scene, plain_instruction
 from cognitivedrone.errors import NotUnderstood
 from cognitivedrone.tasks.format import task_to_json
 from cognitivedrone.tasks.suites import load_suite

@@ -24,7 +24,7 @@ from peer import playing
 from cognitivedrone.apps.config import FlyPlan, SimPlan
 from cognitivedrone.apps.fly import fly_mission
 from cognitivedrone.apps.orders import Orders
-from cognitivedrone.apps.scene import choose_scene
+from cognitivedrone.apps.understanding.scene import choose_scene
 from cognitivedrone.apps.vehicle import serve_vehicle
 from cognitivedrone.cli import main
 from cognitivedrone.errors import LabelError, NotUnderstood, TaskError, UsageError

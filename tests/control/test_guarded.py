@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cognitivedrone.control.fence import Fence
-from cognitivedrone.control.guarded import GuardedDrone
 from cognitivedrone.control.safety import Limits, SafetyConfig
+from cognitivedrone.control.safety.fence import Fence
+from cognitivedrone.control.safety.guarded import GuardedDrone
 from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.types import DroneState, GuardReport
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cognitivedrone.control.passage import Passage, WatchedDrone, approach
-from cognitivedrone.sim.views import FOCAL_PX
+from cognitivedrone.sim.drawing.views import FOCAL_PX
 from cognitivedrone.types import IMAGE_SIZE, Image, Observation
 
 RED, BLUE = (230, 10, 10), (10, 10, 230)

@@ -9,8 +9,6 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from cognitivedrone.control.fence import Fence, keep_inside, outside_by
-from cognitivedrone.control.health import Health
 from cognitivedrone.control.safety import (
     SEVERITY,
     Decision,
@@ -25,6 +23,8 @@ from cognitivedrone.control.safety import (
     order,
     shape,
 )
+from cognitivedrone.control.safety.fence import Fence, keep_inside, outside_by
+from cognitivedrone.control.safety.health import Health
 from cognitivedrone.frames import rotate_yaw
 
 CONFIG = SafetyConfig()

@@ -9,7 +9,7 @@ import pytest
 from rich.console import Console
 
 from cognitivedrone.data.episode import Episode
-from cognitivedrone.data.overview import Histogram, histogram, megabytes, overview
+from cognitivedrone.data.pages.overview import Histogram, histogram, megabytes, overview
 from cognitivedrone.data.store import Store
 from cognitivedrone.data.summary import bars, summary
 from cognitivedrone.errors import DataError

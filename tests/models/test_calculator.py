@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cognitivedrone.models.calculator import calculate, evaluate, numeral
+from cognitivedrone.models.words.calculator import calculate, evaluate, numeral
 from cognitivedrone.tasks.suites import drawn_task, train_task
 
 

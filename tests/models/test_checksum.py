@@ -16,11 +16,11 @@ from tiny import DESCRIPTION, graph, tiny_model
 
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.models.checksum import BLANK, MARK, check, seal
+from cognitivedrone.models.eyes.picture_classifier import PictureClassifier
 from cognitivedrone.models.onnx_file import KEY
-from cognitivedrone.models.picture_classifier import PictureClassifier
 from cognitivedrone.models.reasoner_file import GateSelectorModel, LanguageModel, PanelReaderModel
 from cognitivedrone.models.small_file import KIND, SmallModel, describe, read_description
-from cognitivedrone.models.text_encoder import TextEncoderModel
+from cognitivedrone.models.words.text_encoder import TextEncoderModel
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 

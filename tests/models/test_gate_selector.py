@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from cognitivedrone.models.gate_selector import ABSENT, GateSelector, SelectorConfig
+from cognitivedrone.models.words.gate_selector import ABSENT, GateSelector, SelectorConfig
 
 CONFIG = SelectorConfig(pieces=40, width=16, layers=3, apart=2, heads=2, hidden=32)
 PARTS = (0, 0, 0, 1, 1, 2, 2, 3, 3, 4, 4)

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from cognitivedrone.models.attributes import AttributeSchema
-from cognitivedrone.models.joined import Joined
-from cognitivedrone.models.opinions import NONE
+from cognitivedrone.models.eyes.joined import Joined
+from cognitivedrone.models.eyes.opinions import NONE
 from cognitivedrone.training.perception.attributes import ATTRIBUTES
 
 SCHEMA = AttributeSchema(ATTRIBUTES)

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from cognitivedrone.models.attributes import AttributeSchema
-from cognitivedrone.models.finder import LOOKS, SLOTS
-from cognitivedrone.models.gate_selector import SelectorConfig
-from cognitivedrone.models.language import _NOISE, Language, LanguageConfig, TextEncoder
+from cognitivedrone.models.eyes.finder import LOOKS, SLOTS
+from cognitivedrone.models.words.gate_selector import SelectorConfig
+from cognitivedrone.models.words.language import _NOISE, Language, LanguageConfig, TextEncoder
 
 SCHEMA = AttributeSchema(("kind/thing", "kind/unknown", "concept/cat", "concept/dog", "concept/car", "hat/fez"))
 F = len(SCHEMA.names)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cognitivedrone.models.attributes import AttributeSchema
-from cognitivedrone.models.opinions import NONE, Opinions, on_paper
-from cognitivedrone.models.picture_classifier import SIDE
+from cognitivedrone.models.eyes.opinions import NONE, Opinions, on_paper
+from cognitivedrone.models.eyes.picture_classifier import SIDE
 from cognitivedrone.types import COLORS
 
 NAMES = ("kind/thing", "concept/letter:A", "concept/thing:tiger", "concept/thing:zebra", "concept/thing:yeti")

@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from cognitivedrone.models.attributes import UNKNOWN, AttributeSchema
-from cognitivedrone.models.finder import LOOK_GROUPS, Finder
-from cognitivedrone.models.opinions import NONE
-from cognitivedrone.models.panel_reader import PanelReader, Probabilities, Reader, ReaderConfig
+from cognitivedrone.models.eyes.finder import LOOK_GROUPS, Finder
+from cognitivedrone.models.eyes.opinions import NONE
+from cognitivedrone.models.eyes.panel_reader import PanelReader, Probabilities, Reader, ReaderConfig
 from cognitivedrone.training.perception.attributes import ATTRIBUTES
 
 SCHEMA = AttributeSchema(ATTRIBUTES)

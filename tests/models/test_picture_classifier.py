@@ -10,7 +10,7 @@ import PIL.Image
 import pytest
 
 from cognitivedrone.errors import ModelError
-from cognitivedrone.models.picture_classifier import SIDE, PictureClassifier, crop_of, paper_share
+from cognitivedrone.models.eyes.picture_classifier import SIDE, PictureClassifier, crop_of, paper_share
 from cognitivedrone.training.perception.attributes import ATTRIBUTES
 
 PACKAGED = Path(str(resources.files("cognitivedrone.models") / "weights" / "picture_classifier.onnx"))

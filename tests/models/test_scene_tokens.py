@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cognitivedrone.errors import ModelError
-from cognitivedrone.models.scene_tokens import INPUTS, LENGTHS, SceneText, SceneTokenizer, stacked
+from cognitivedrone.models.words.scene_tokens import INPUTS, LENGTHS, SceneText, SceneTokenizer, stacked
 
 PIECES = ("[PAD]", "[UNK]", "[CLS]", "fly", "to", "the", "cat", "##s", "left", "gate", ",", "5")
 TOKENIZER = SceneTokenizer(PIECES)

@@ -11,10 +11,10 @@ import torch
 from torch import Tensor
 
 from cognitivedrone.models.attributes import AttributeSchema
-from cognitivedrone.models.finder import CELLS, LOOK_GROUPS, LOOKS, SLOTS, STRIDE, Scene, crops, look_probabilities
-from cognitivedrone.models.language import LanguageConfig
-from cognitivedrone.models.panel_reader import ReaderConfig
+from cognitivedrone.models.eyes.finder import CELLS, LOOK_GROUPS, LOOKS, SLOTS, STRIDE, Scene, crops, look_probabilities
+from cognitivedrone.models.eyes.panel_reader import ReaderConfig
 from cognitivedrone.models.small_vla import Head, SmallVLA, SmallVLAConfig
+from cognitivedrone.models.words.language import LanguageConfig
 
 SCHEMA = AttributeSchema(
     ("kind/thing", "kind/letter", "kind/unknown", "concept/thing:cat", "concept/thing:dog", "concept/letter:A")

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from cognitivedrone.models.text import NUMBER_WORDS, words_of
+from cognitivedrone.models.words.text import NUMBER_WORDS, words_of
 
 
 @pytest.mark.parametrize(

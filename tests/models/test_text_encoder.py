@@ -9,9 +9,9 @@ import pytest
 from tiny import DIGEST, PIECES, WIDTH, heard, tiny_encoder, tiny_model
 
 from cognitivedrone.errors import ModelError
-from cognitivedrone.models import text_encoder
-from cognitivedrone.models.scene_tokens import LENGTHS
-from cognitivedrone.models.text_encoder import TextEncoderModel, encoder_of, packaged_encoder, packed, parts_of
+from cognitivedrone.models.words import text_encoder
+from cognitivedrone.models.words.scene_tokens import LENGTHS
+from cognitivedrone.models.words.text_encoder import TextEncoderModel, encoder_of, packaged_encoder, packed, parts_of
 
 
 @pytest.fixture

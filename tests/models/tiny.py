@@ -21,7 +21,7 @@ from cognitivedrone.models.reasoner_file import (
     SELECTOR_FILE,
 )
 from cognitivedrone.models.small_file import ActionStatistics, Description, describe
-from cognitivedrone.models.text_encoder import FILE, TEXT_ENCODER
+from cognitivedrone.models.words.text_encoder import FILE, TEXT_ENCODER
 
 CHUNK = 2
 WIDTH = 3

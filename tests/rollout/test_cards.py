@@ -17,7 +17,7 @@ from cognitivedrone.pilot import on_card
 from cognitivedrone.rollout import cards, ray_pool
 from cognitivedrone.rollout.cards import Cards
 from cognitivedrone.rollout.process_pool import ProcessPool
-from cognitivedrone.sim.renderers import REMEMBERED, VISIBLE
+from cognitivedrone.sim.drawing.renderers import REMEMBERED, VISIBLE
 
 H100, T4 = "NVIDIA H100 80GB HBM3", "Tesla T4"
 UNSEEN = "no variable"

@@ -10,9 +10,9 @@ from PIL import Image as Pictures
 
 from cognitivedrone.errors import RenderError
 from cognitivedrone.frames import quaternion_from_yaw, rotate_yaw, rotation_matrix
-from cognitivedrone.sim.camera import Cameras
-from cognitivedrone.sim.gl import renderer_name
-from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT
+from cognitivedrone.sim.drawing.camera import Cameras
+from cognitivedrone.sim.drawing.gl import renderer_name
+from cognitivedrone.sim.drawing.views import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.types import IMAGE_SIZE, DroneState, FloatArray, Gate, Image, Landmark, Obstacle, Stage
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import varied_appearance

@@ -9,8 +9,8 @@ import pytest
 
 from cognitivedrone.errors import RenderError
 from cognitivedrone.frames import quaternion_from_yaw
-from cognitivedrone.sim.camera import Cameras
-from cognitivedrone.sim.chase import ChaseView
+from cognitivedrone.sim.drawing.camera import Cameras
+from cognitivedrone.sim.drawing.chase import ChaseView
 from cognitivedrone.sim.drone_world import Scenery
 from cognitivedrone.types import Gate, Stage
 

@@ -8,7 +8,7 @@ from types import ModuleType, SimpleNamespace
 import pytest
 
 from cognitivedrone.errors import RenderError
-from cognitivedrone.sim import contexts, gl
+from cognitivedrone.sim.drawing import contexts, gl
 
 
 @pytest.fixture
@@ -169,7 +169,7 @@ def test_a_second_display_has_the_same_renderer_or_is_none() -> None:
 
 
 def test_quitting_without_closing_prints_nothing() -> None:
-    program = "from cognitivedrone.sim.camera import Cameras; c = Cameras(2, 32, threads=2); print(c.size)"
+    program = "from cognitivedrone.sim.drawing.camera import Cameras; c = Cameras(2, 32, threads=2); print(c.size)"
     child = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
     assert (child.returncode, child.stdout, child.stderr) == (0, "32\n", "")
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cognitivedrone.sim import gl, renderers
-from cognitivedrone.sim.camera import Cameras
-from cognitivedrone.sim.readback import OneByOne, TwoBuffers
+from cognitivedrone.sim.drawing import gl, renderers
+from cognitivedrone.sim.drawing.camera import Cameras
+from cognitivedrone.sim.drawing.readback import OneByOne, TwoBuffers
 from cognitivedrone.types import Gate, Stage
 from cognitivedrone.world.geometry import START
 

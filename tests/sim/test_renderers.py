@@ -8,8 +8,8 @@ import pytest
 
 from cognitivedrone.benchmark.reports import catalogue
 from cognitivedrone.errors import FirstFrameError, RenderError
-from cognitivedrone.sim import camera, gl, readback, renderers
-from cognitivedrone.sim.camera import Cameras
+from cognitivedrone.sim.drawing import camera, gl, readback, renderers
+from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.types import DroneState, Gate, Image, Images, Stage
 from cognitivedrone.world.engine import mujoco
 from cognitivedrone.world.geometry import START

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from cognitivedrone.frames import rotate_yaw
-from cognitivedrone.sim.camera import Cameras
-from cognitivedrone.sim.chase import ChaseView
+from cognitivedrone.sim.drawing.camera import Cameras
+from cognitivedrone.sim.drawing.chase import ChaseView
+from cognitivedrone.sim.drawing.views import first_person_view, top_view
 from cognitivedrone.sim.drone_world import Scenery
-from cognitivedrone.sim.views import first_person_view, top_view
 from cognitivedrone.types import DroneState, Gate, Stage
 from cognitivedrone.world import geometry
 

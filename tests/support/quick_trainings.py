@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import torch
 
-from cognitivedrone.models.panel_reader import ReaderConfig
+from cognitivedrone.models.eyes.panel_reader import ReaderConfig
 from cognitivedrone.training.perception import calibration, panel_crops, readings
 from cognitivedrone.training.reasoner.reader import READER
 from cognitivedrone.training.reasoner.selector import DEBUG_SELECTOR

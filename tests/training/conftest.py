@@ -84,7 +84,7 @@ def policy_checkpoint(tmp_path_factory: pytest.TempPathFactory, language_checkpo
     """A tiny policy with random weights and that language, beside its text encoder."""
     from quick_trainings import saved
 
-    from cognitivedrone.models.text_encoder import FILE
+    from cognitivedrone.models.words.text_encoder import FILE
     from cognitivedrone.training.recipes import RECIPES
     from cognitivedrone.training.trainer.checkpoint import CHECKPOINT
     from cognitivedrone.training.trainer.training_task import Given
@@ -100,7 +100,7 @@ def policy_checkpoint(tmp_path_factory: pytest.TempPathFactory, language_checkpo
 @pytest.fixture(scope="session")
 def policy_file(tmp_path_factory: pytest.TempPathFactory, policy_checkpoint: Path) -> Path:
     """That policy as a model file, beside its text encoder, panel reader and language."""
-    from cognitivedrone.models.text_encoder import FILE
+    from cognitivedrone.models.words.text_encoder import FILE
     from cognitivedrone.training.small_vla.export import export
 
     def make(folder: Path) -> None:

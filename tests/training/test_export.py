@@ -13,13 +13,13 @@ import torch
 
 from cognitivedrone.envs.track_runner import TrackConfig
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.models.gate_selector import SelectorConfig
-from cognitivedrone.models.language import TextEncoder
 from cognitivedrone.models.reasoner_file import LANGUAGE_FILE, READER_FILE, LanguageModel, PanelReaderModel
-from cognitivedrone.models.scene_tokens import INPUTS, stacked
 from cognitivedrone.models.small_file import Description, SmallModel
 from cognitivedrone.models.small_vla import SmallVLA
-from cognitivedrone.models.text_encoder import FILE, TextEncoderModel, encoder_of, parts_of
+from cognitivedrone.models.words.gate_selector import SelectorConfig
+from cognitivedrone.models.words.language import TextEncoder
+from cognitivedrone.models.words.scene_tokens import INPUTS, stacked
+from cognitivedrone.models.words.text_encoder import FILE, TextEncoderModel, encoder_of, parts_of
 from cognitivedrone.policies import make_policy
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.training.perception.attributes import ATTRIBUTES

@@ -11,7 +11,7 @@ import torch
 from quick_trainings import SCHEDULE, train_here
 
 from cognitivedrone.errors import ModelError
-from cognitivedrone.models.text_encoder import FILE
+from cognitivedrone.models.words.text_encoder import FILE
 from cognitivedrone.training.recipes import RECIPES, find_recipe
 from cognitivedrone.training.small_vla import export
 from cognitivedrone.training.small_vla.flight import FLIGHT

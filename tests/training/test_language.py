@@ -14,7 +14,7 @@ from quick_trainings import SCHEDULE, InProcess, killed_at, train_here
 from torch.distributed.run import parse_args
 
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.models.text_encoder import TextEncoderModel
+from cognitivedrone.models.words.text_encoder import TextEncoderModel
 from cognitivedrone.training.config import TrainPlan
 from cognitivedrone.training.language.problems import NAMES, Problem, Problems
 from cognitivedrone.training.launch import command_of, run

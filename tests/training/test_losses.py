@@ -12,12 +12,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from cognitivedrone.models.finder import CELLS, SLOTS, Scene
-from cognitivedrone.models.language import Language, LanguageConfig
-from cognitivedrone.models.panel_reader import ReaderConfig
-from cognitivedrone.models.scene_tokens import SceneTokenizer
+from cognitivedrone.models.eyes.finder import CELLS, SLOTS, Scene
+from cognitivedrone.models.eyes.panel_reader import ReaderConfig
 from cognitivedrone.models.small_vla import Head, SmallVLA
-from cognitivedrone.models.text_encoder import encoder_of
+from cognitivedrone.models.words.language import Language, LanguageConfig
+from cognitivedrone.models.words.scene_tokens import SceneTokenizer
+from cognitivedrone.models.words.text_encoder import encoder_of
 from cognitivedrone.training.language.problems import ABSENT, Problem, Problems
 from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.training.perception.readings import Readings

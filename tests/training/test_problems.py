@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cognitivedrone.models.calculator import calculate, evaluate
+from cognitivedrone.models.words.calculator import calculate, evaluate
 from cognitivedrone.reasoners.scene_text import STAGES
 from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, HARD_FAMILIES, load_suite

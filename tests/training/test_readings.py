@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from cognitivedrone.models.panel_reader import Reader, ReaderConfig
-from cognitivedrone.models.scene_tokens import INPUTS, SceneTokenizer, stacked
-from cognitivedrone.models.text_encoder import parts_of
+from cognitivedrone.models.eyes.panel_reader import Reader, ReaderConfig
+from cognitivedrone.models.words.scene_tokens import INPUTS, SceneTokenizer, stacked
+from cognitivedrone.models.words.text_encoder import parts_of
 from cognitivedrone.training.language.problems import ABSENT, ALONE, Mix, Problem, Problems
 from cognitivedrone.training.perception import readings as module
 from cognitivedrone.training.perception.attributes import ATTRIBUTES, AttributeIndex

@@ -13,11 +13,11 @@ from quick_trainings import SMALL_SELECTOR, TINY_READER, killed_at, train_here
 
 from cognitivedrone.errors import ModelError, TrainingError
 from cognitivedrone.labels import load_pack
-from cognitivedrone.models.finder import LOOK_GROUPS
-from cognitivedrone.models.opinions import NONE
-from cognitivedrone.models.panel_reader import PanelReader
+from cognitivedrone.models.eyes.finder import LOOK_GROUPS
+from cognitivedrone.models.eyes.opinions import NONE
+from cognitivedrone.models.eyes.panel_reader import PanelReader
 from cognitivedrone.models.reasoner_file import LOOKS, GateSelectorModel, PanelReaderModel
-from cognitivedrone.models.scene_tokens import INPUTS, SceneTokenizer
+from cognitivedrone.models.words.scene_tokens import INPUTS, SceneTokenizer
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.training.config import TrainPlan

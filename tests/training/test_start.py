@@ -13,9 +13,9 @@ from quick_trainings import TINY_READER, saved
 from tiny import DESCRIPTION, graph, tiny_reasoner
 
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.models.language import LanguageConfig
+from cognitivedrone.models.eyes.panel_reader import Reader, ReaderConfig
 from cognitivedrone.models.onnx_file import write_table
-from cognitivedrone.models.panel_reader import Reader, ReaderConfig
+from cognitivedrone.models.words.language import LanguageConfig
 from cognitivedrone.training.perception.attributes import ATTRIBUTES
 from cognitivedrone.training.reasoner.trained import trained_selector
 from cognitivedrone.training.recipes import RECIPES

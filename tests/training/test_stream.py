@@ -15,8 +15,8 @@ import pytest
 from numpy.typing import NDArray
 
 from cognitivedrone.layout import is_clear
-from cognitivedrone.models.text import words_of
-from cognitivedrone.models.text_encoder import TextEncoderModel, encoder_of
+from cognitivedrone.models.words.text import words_of
+from cognitivedrone.models.words.text_encoder import TextEncoderModel, encoder_of
 from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.racing import INSTRUCTIONS
 from cognitivedrone.training.language.questions import Question, ask

@@ -12,7 +12,7 @@ from attitudes import tilted
 
 from cognitivedrone.frames import quaternion_from_yaw, rotate_yaw
 from cognitivedrone.policies.expert import ExpertConfig, intent
-from cognitivedrone.sim.camera import Cameras
+from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.training.perception.ground_truth import COMMITTED, LEGIBLE_HEIGHT, Poses, Truths, project, truths
 from cognitivedrone.types import ACTION_LIMITS, IMAGE_SIZE, FloatArray, Gate, GatePlace, Image, Stage
 from cognitivedrone.world import geometry

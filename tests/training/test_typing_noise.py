@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from cognitivedrone.models.calculator import calculate
+from cognitivedrone.models.words.calculator import calculate
 from cognitivedrone.tasks import train_task, vocabulary
 from cognitivedrone.training.language.typing_noise import typed
 

@@ -14,7 +14,7 @@ from PIL import Image
 from cognitivedrone.envs.track_runner import TrackConfig, episode_rng
 from cognitivedrone.errors import AppearanceError, RenderError
 from cognitivedrone.plan import Scenario
-from cognitivedrone.sim.camera import Cameras
+from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import Gate, Stage
 from cognitivedrone.world import places

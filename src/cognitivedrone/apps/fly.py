@@ -19,13 +19,19 @@ from rich.live import Live
 
 from cognitivedrone import terminal
 from cognitivedrone.apps.config import FlyPlan
-from cognitivedrone.apps.evidence import Evidence, taught_names
 from cognitivedrone.apps.film import film_flight
 from cognitivedrone.apps.log import FlightLog, check_free
 from cognitivedrone.apps.mission import Mission, Recorder
 from cognitivedrone.apps.orders import Keyboard, Orders, ending_on_signals, landing_on_interrupt, readable
-from cognitivedrone.apps.request import Understanding
-from cognitivedrone.apps.scene import ChosenScene, check_evidence, choose_scene, own_names, plain_instruction
+from cognitivedrone.apps.understanding.evidence import Evidence, taught_names
+from cognitivedrone.apps.understanding.request import Understanding
+from cognitivedrone.apps.understanding.scene import (
+    ChosenScene,
+    check_evidence,
+    choose_scene,
+    own_names,
+    plain_instruction,
+)
 from cognitivedrone.apps.values import Ending, Page, SteeredDrone, Summary
 from cognitivedrone.apps.view import Instruments, Printer, say
 from cognitivedrone.apps.watchdog import HUNG, Watchdog

@@ -13,7 +13,7 @@ from tyro.conf import OmitArgPrefixes as Flat
 
 from cognitivedrone.apps.config import FlyPlan, SimPlan
 from cognitivedrone.play.config import PlayPlan
-from cognitivedrone.sim.gl import look_ahead
+from cognitivedrone.sim.drawing.gl import look_ahead
 from cognitivedrone.text.printable import visible, wrapped
 
 if TYPE_CHECKING:

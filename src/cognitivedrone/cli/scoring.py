@@ -319,7 +319,7 @@ def view(plan: Annotated[Flat[ViewPlan], tyro.conf.arg(name="")]) -> None:
 
 def list_names() -> None:
     """List suites, task families, airframes, and policies and reasoners with their arguments; and what draws here."""
-    from cognitivedrone.sim.gl import look_ahead
+    from cognitivedrone.sim.drawing.gl import look_ahead
 
     look_ahead()
     from cognitivedrone.benchmark.reports.catalogue import catalogue

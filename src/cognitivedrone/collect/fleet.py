@@ -25,7 +25,7 @@ from cognitivedrone.interfaces import Policy, PolicyLike
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies.expert import Expert, ExpertConfig
 from cognitivedrone.sim.airframe import AIRFRAMES
-from cognitivedrone.sim.gl import renderer_name
+from cognitivedrone.sim.drawing.gl import renderer_name
 from cognitivedrone.system.interrupts import is_ctrl_c
 from cognitivedrone.tasks import Suite
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Action, EpisodeContext, FloatArray, Image, Observation, Outcome

@@ -16,7 +16,7 @@ from scipy import ndimage
 
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.layout import PAD_RADIUS
-from cognitivedrone.sim.views import FOCAL_PX, MOUNT
+from cognitivedrone.sim.drawing.views import FOCAL_PX, MOUNT
 from cognitivedrone.types import COLORS, IMAGE_SIZE, Action, Color, FloatArray, Image, Observation
 
 _LEAST_PX: Final = 12  # of a pad that is seen

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from cognitivedrone.interfaces import Drone
-from cognitivedrone.sim.views import FOCAL_PX
+from cognitivedrone.sim.drawing.views import FOCAL_PX
 from cognitivedrone.types import COLORS, Action, FloatArray, Image, Observation
 
 CONTRASTS = (180, 40)

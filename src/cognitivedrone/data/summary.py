@@ -10,7 +10,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from cognitivedrone.data.overview import Histogram, Overview, megabytes, overview
+from cognitivedrone.data.pages.overview import Histogram, Overview, megabytes, overview
 from cognitivedrone.data.store import Store
 from cognitivedrone.types import CONTROL_HZ
 

@@ -7,7 +7,7 @@ from typing import Literal, TypeAlias, get_args
 from cognitivedrone.envs.track_runner import TrackRunner, scenery_of
 from cognitivedrone.errors import SimulationError, did_you_mean
 from cognitivedrone.sim.airframe import Airframe
-from cognitivedrone.sim.chase import LIVE_SIZE, ChaseView
+from cognitivedrone.sim.drawing.chase import LIVE_SIZE, ChaseView
 from cognitivedrone.types import CONTROL_HZ, Image, Stage
 
 Camera: TypeAlias = Literal["drone", "chase"]

@@ -16,9 +16,9 @@ from cognitivedrone.envs.worlds import Worlds
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import replace_file, writing
 from cognitivedrone.plan import Scenario
-from cognitivedrone.sim.chase import ChaseView
+from cognitivedrone.sim.drawing.chase import ChaseView
+from cognitivedrone.sim.drawing.views import View, first_person_view, top_view
 from cognitivedrone.sim.simulator import Simulator
-from cognitivedrone.sim.views import View, first_person_view, top_view
 from cognitivedrone.tasks import Suite, track_at
 from cognitivedrone.types import IMAGE_SIZE, FloatArray, Gate, Image, Task
 from cognitivedrone.world import geometry

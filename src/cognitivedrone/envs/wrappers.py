@@ -13,7 +13,7 @@ from gymnasium.utils import RecordConstructorArgs
 from PIL import Image as PillowImage
 
 from cognitivedrone.errors import SimulationError
-from cognitivedrone.models.text import words_of
+from cognitivedrone.models.words.text import words_of
 from cognitivedrone.types import IMAGE_SIZE, Action, FloatArray
 
 SIZE = 256
@@ -69,7 +69,7 @@ def hash_instruction(text: str, size: int = SIZE) -> FloatArray:
 
     The hashing trick of Weinberger et al. (arXiv 0902.2206): every word and pair adds 1 or -1 at one position; its
     CRC-32 determines position and sign. No vocabulary is needed, and the result is the same on every machine. Words are
-    those of `models.text.words_of`, with markers for the beginning and the end of the sentence.
+    those of `models.words.text.words_of`, with markers for the beginning and the end of the sentence.
     """
     words = ["<", *words_of(text), ">"]
     vector = np.zeros(size, dtype=np.float32)

@@ -19,7 +19,7 @@ from cognitivedrone.film.panel import INK, PANEL, PANEL_HEIGHT, SOFT, compose
 from cognitivedrone.film.panel import WIDTH as CLIP_WIDTH
 from cognitivedrone.film.video import FILM, write_mp4
 from cognitivedrone.sim.airframe import RACER, Airframe
-from cognitivedrone.sim.chase import FILM_SIZE, ChaseView
+from cognitivedrone.sim.drawing.chase import FILM_SIZE, ChaseView
 from cognitivedrone.types import CONTROL_HZ, FloatArray, Image, Vector
 
 FPS: Final = 2 * CONTROL_HZ

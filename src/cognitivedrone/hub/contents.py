@@ -11,7 +11,7 @@ from typing import Any, Final, Literal
 from cognitivedrone.data.disk import read_json
 from cognitivedrone.data.layout import MANIFEST, read_manifest
 from cognitivedrone.errors import HubError
-from cognitivedrone.models.picture_classifier import CLASSIFIER_FILE, PictureClassifier
+from cognitivedrone.models.eyes.picture_classifier import CLASSIFIER_FILE, PictureClassifier
 from cognitivedrone.models.reasoner_file import (
     LANGUAGE_FILE,
     READER_FILE,
@@ -21,8 +21,8 @@ from cognitivedrone.models.reasoner_file import (
     PanelReaderModel,
 )
 from cognitivedrone.models.small_file import SmallModel
-from cognitivedrone.models.text_encoder import FILE as ENCODER_FILE
-from cognitivedrone.models.text_encoder import TextEncoderModel
+from cognitivedrone.models.words.text_encoder import FILE as ENCODER_FILE
+from cognitivedrone.models.words.text_encoder import TextEncoderModel
 
 RepoType = Literal["model", "dataset"]
 SUFFIXES: Final = (".json", ".jsonl", ".md", ".mp4", ".onnx", ".parquet", ".png")

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError, PolicyError
 from cognitivedrone.models.attributes import AttributeSchema
+from cognitivedrone.models.eyes.opinions import NONE
 from cognitivedrone.models.onnx_file import (
     Provenance,
     check_graph,
@@ -33,9 +34,8 @@ from cognitivedrone.models.onnx_file import (
     open_model,
     provenance_of,
 )
-from cognitivedrone.models.opinions import NONE
-from cognitivedrone.models.scene_tokens import INPUTS, SceneText, SceneTokenizer, stacked
-from cognitivedrone.models.text_encoder import TextEncoderModel
+from cognitivedrone.models.words.scene_tokens import INPUTS, SceneText, SceneTokenizer, stacked
+from cognitivedrone.models.words.text_encoder import TextEncoderModel
 from cognitivedrone.types import COLORS, IMAGE_SIZE, Image
 
 READER_KIND, SELECTOR = "panel-reader", "gate-selector"

@@ -30,6 +30,8 @@ from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError, PolicyError
 from cognitivedrone.models.attributes import AttributeSchema
+from cognitivedrone.models.eyes.opinions import Opinions
+from cognitivedrone.models.eyes.picture_classifier import PictureClassifier, classifier_of
 from cognitivedrone.models.onnx_file import (
     Provenance,
     check_graph,
@@ -40,9 +42,7 @@ from cognitivedrone.models.onnx_file import (
     texts_of,
     write_table,
 )
-from cognitivedrone.models.opinions import Opinions
-from cognitivedrone.models.picture_classifier import PictureClassifier, classifier_of
-from cognitivedrone.models.text_encoder import TextEncoderModel, packed
+from cognitivedrone.models.words.text_encoder import TextEncoderModel, packed
 from cognitivedrone.types import COLORS, IMAGE_SIZE, Float32Array
 
 KIND = "small-policy"

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from cognitivedrone.models.attributes import AttributeSchema
-from cognitivedrone.models.finder import (
+from cognitivedrone.models.eyes.finder import (
     GEOMETRY,
     LOOKS,
     SLOTS,
@@ -30,9 +30,9 @@ from cognitivedrone.models.finder import (
     look_probabilities,
     panel_boxes,
 )
-from cognitivedrone.models.joined import Joined
-from cognitivedrone.models.language import Language, LanguageConfig
-from cognitivedrone.models.panel_reader import Probabilities, Reader, ReaderConfig
+from cognitivedrone.models.eyes.joined import Joined
+from cognitivedrone.models.eyes.panel_reader import Probabilities, Reader, ReaderConfig
+from cognitivedrone.models.words.language import Language, LanguageConfig
 from cognitivedrone.types import COLORS
 
 Head = Literal["tokens", "regression"]

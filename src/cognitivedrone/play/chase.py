@@ -13,7 +13,7 @@ import PIL.Image
 from cognitivedrone.errors import CognitiveDroneError, RenderError
 from cognitivedrone.film.frame import Scene
 from cognitivedrone.sim.airframe import Airframe
-from cognitivedrone.sim.chase import LIVE_SIZE, ChaseView
+from cognitivedrone.sim.drawing.chase import LIVE_SIZE, ChaseView
 from cognitivedrone.system import let_others_first
 from cognitivedrone.system.processes import end_with_parent, starting
 from cognitivedrone.types import FloatArray, Image

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from cognitivedrone.apps.scene import MADE, ChosenScene
+from cognitivedrone.apps.understanding.scene import MADE, ChosenScene
 from cognitivedrone.errors import LabelError
 from cognitivedrone.files import replacing
 from cognitivedrone.files.texts import folded

@@ -18,7 +18,7 @@ from cognitivedrone.apps.config import AUTO, FlyPlan
 from cognitivedrone.apps.film import verdict_of_flight
 from cognitivedrone.apps.fly import fly_mission
 from cognitivedrone.apps.orders import Orders
-from cognitivedrone.apps.scene import DEFAULT, DEFAULT_EPISODE, ChosenScene, named_scene
+from cognitivedrone.apps.understanding.scene import DEFAULT, DEFAULT_EPISODE, ChosenScene, named_scene
 from cognitivedrone.apps.values import Summary
 from cognitivedrone.envs.captions import readable
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng

@@ -17,7 +17,7 @@ from scipy import ndimage
 
 from cognitivedrone.interfaces import Policy
 from cognitivedrone.policies.guidance import Pursuit, pursue
-from cognitivedrone.sim.views import FOCAL_PX, MOUNT
+from cognitivedrone.sim.drawing.views import FOCAL_PX, MOUNT
 from cognitivedrone.tasks.directives import parse_directive
 from cognitivedrone.types import (
     COLORS,

@@ -15,8 +15,8 @@ import numpy as np
 
 from cognitivedrone.errors import ModelError, NonFiniteAction, PluginError, PolicyError
 from cognitivedrone.interfaces import Policy, attempt
+from cognitivedrone.models.eyes.opinions import Opinions
 from cognitivedrone.models.onnx_file import check_model_file
-from cognitivedrone.models.opinions import Opinions
 from cognitivedrone.models.small_file import Output, SmallModel
 from cognitivedrone.system import cores
 from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, FloatArray, Image, Observation

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.models.attributes import SIGNS, SUM_GROUPS, AttributeSchema
-from cognitivedrone.models.calculator import calculate, numeral
-from cognitivedrone.models.scene_tokens import NUMBERS, SceneText, number_text
+from cognitivedrone.models.words.calculator import calculate, numeral
+from cognitivedrone.models.words.scene_tokens import NUMBERS, SceneText, number_text
 from cognitivedrone.references import PERSON_ATTRIBUTES
 from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.people import CAST, IDENTITY, TRAIN_CAST, seen

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError, ReasonerError
 from cognitivedrone.interfaces import Reasoner
+from cognitivedrone.models.eyes.opinions import Opinions
+from cognitivedrone.models.eyes.picture_classifier import PictureClassifier, classifier_of
 from cognitivedrone.models.onnx_file import check_model_file
-from cognitivedrone.models.opinions import Opinions
-from cognitivedrone.models.picture_classifier import PictureClassifier, classifier_of
 from cognitivedrone.models.reasoner_file import (
     LANGUAGE_FILE,
     LOOKS,
@@ -33,7 +33,7 @@ from cognitivedrone.models.reasoner_file import (
     PanelReading,
     shares_of,
 )
-from cognitivedrone.models.scene_tokens import SceneText, stacked
+from cognitivedrone.models.words.scene_tokens import SceneText, stacked
 from cognitivedrone.reasoners.scene_text import STAGES, ReadScene, SceneWriter, gate_of
 from cognitivedrone.tasks.directives import HOLD, write_directive
 from cognitivedrone.types import COLORS, EpisodeContext, Guidance, Image, SeenPanel

@@ -14,7 +14,7 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Final
 
-from cognitivedrone.sim.renderers import REMEMBERED, VISIBLE
+from cognitivedrone.sim.drawing.renderers import REMEMBERED, VISIBLE
 from cognitivedrone.system import cores
 
 ROOT: Final = Path("/")

@@ -21,7 +21,7 @@ from cognitivedrone.errors import CognitiveDroneError, RunError
 from cognitivedrone.rollout.cluster import ray_cluster
 from cognitivedrone.rollout.pool import Answer, Item, Pool, Work, WorkerCrash, WorkerLost
 from cognitivedrone.rollout.process_pool import JOIN_TIMEOUT_S, ProcessPool
-from cognitivedrone.sim.renderers import REMEMBERED, VISIBLE
+from cognitivedrone.sim.drawing.renderers import REMEMBERED, VISIBLE
 from cognitivedrone.text.printable import visible
 
 _LONGEST = 300  # characters of Ray's own text

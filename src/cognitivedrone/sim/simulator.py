@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from cognitivedrone.sim.airframe import RACER, Airframe
-from cognitivedrone.sim.camera import Cameras
+from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, Scenery, Start
 from cognitivedrone.sim.dynamics import Flight
 from cognitivedrone.sim.gate_monitor import GateEvent, GateMonitor

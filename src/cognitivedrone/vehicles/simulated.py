@@ -9,8 +9,8 @@ import numpy as np
 from cognitivedrone.envs.drone import PacedDrone, SimulatedDrone
 from cognitivedrone.envs.track_runner import TrackRunner
 from cognitivedrone.frames import yaw_of
+from cognitivedrone.sim.drawing.gl import renderer_name
 from cognitivedrone.sim.drone_world import DroneWorld
-from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.types import Track
 from cognitivedrone.vehicles.contract import ClockedDrone, Confirm, Pace, Request, Status

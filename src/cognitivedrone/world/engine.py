@@ -2,7 +2,7 @@
 
 On import, MuJoCo loads the library that `MUJOCO_GL` names. If that is missing, PyOpenGL fails with errors
 that name neither the cause nor a solution. Only rendering needs the library, so this module then imports MuJoCo without
-it, and `sim.gl` explains the problem in one sentence when something renders.
+it, and `sim.drawing.gl` explains the problem in one sentence when something renders.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from fake_gazebo import MESSAGES, FakeGazebo
 from cognitivedrone.envs.track_runner import scenery_of
 from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.labels import load_pack
-from cognitivedrone.sim.camera import Cameras
+from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.types import Image, Stage
 from cognitivedrone.vehicles.gazebo.vehicle import CAMERA_TOPIC, NAME
 from cognitivedrone.world.appearance import PLAIN

@@ -8,8 +8,8 @@ import pytest
 from cognitivedrone.envs.track_runner import scenery_of
 from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.labels import load_pack
-from cognitivedrone.sim.camera import Cameras
-from cognitivedrone.sim.views import first_person_view
+from cognitivedrone.sim.drawing.camera import Cameras
+from cognitivedrone.sim.drawing.views import first_person_view
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import DroneState
 from cognitivedrone.vehicles.gazebo.comparison import box_of, color_overlap, compare, correlation, match_exposure

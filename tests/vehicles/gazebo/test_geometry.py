@@ -12,7 +12,7 @@ from sdf_reading import cast, element_pose, model_mesh, models, parse, read_obj,
 
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.labels import load_pack
-from cognitivedrone.sim.camera import FIELD_OF_VIEW, MOUNT
+from cognitivedrone.sim.drawing.camera import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Landmark, Obstacle, Stage
 from cognitivedrone.vehicles.gazebo.export import stages_of, world_of

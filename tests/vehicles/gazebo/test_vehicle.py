@@ -9,7 +9,7 @@ import pytest
 from sdf_reading import element_pose, parse, values
 
 from cognitivedrone.sim.airframe import IRIS, ROTORS
-from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT
+from cognitivedrone.sim.drawing.views import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.vehicles.gazebo.pilot import VEHICLE
 from cognitivedrone.vehicles.gazebo.sdf import STEP_S, document
 from cognitivedrone.vehicles.gazebo.vehicle import ground_clearance, iris, parameters

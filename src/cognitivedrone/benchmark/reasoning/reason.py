@@ -42,8 +42,8 @@ from cognitivedrone.files.locks import sole_writer
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.reasoners import make_reasoner
+from cognitivedrone.sim.drawing.gl import renderer_name
 from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, DroneWorld, Start
-from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.system.interrupts import watched
 from cognitivedrone.tasks import Suite
 from cognitivedrone.terminal.progress import counted

@@ -14,9 +14,9 @@ from cognitivedrone.errors import PolicyError, RenderError
 from cognitivedrone.policies import POLICIES
 from cognitivedrone.reasoners import NONE, REASONERS
 from cognitivedrone.registry import load, usage
-from cognitivedrone.sim import renderers
 from cognitivedrone.sim.airframe import AIRFRAMES
-from cognitivedrone.sim.gl import renderer_name
+from cognitivedrone.sim.drawing import renderers
+from cognitivedrone.sim.drawing.gl import renderer_name
 from cognitivedrone.tasks import ABOUT, FAMILIES, SUITES, load_suite
 from cognitivedrone.text.printable import visible
 from cognitivedrone.world import places

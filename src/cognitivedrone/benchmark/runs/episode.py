@@ -12,10 +12,10 @@ from cognitivedrone.benchmark.runs.job import Job
 from cognitivedrone.benchmark.scores.run_types import Rollout
 from cognitivedrone.control.async_reasoner import SimulatedReasoner
 from cognitivedrone.control.calls import NO_WATCH, Watch, seed_of
-from cognitivedrone.control.guarded import GuardedDrone
 from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.control.planning import Plans, plans_with
+from cognitivedrone.control.safety.guarded import GuardedDrone
 from cognitivedrone.envs.track_runner import episode_rng
 from cognitivedrone.errors import PolicyError, PolicyRaised, ReasonerError, RunError
 from cognitivedrone.pilot import Pilot, open_pilot

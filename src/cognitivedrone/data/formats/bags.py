@@ -19,7 +19,7 @@ import numpy as np
 
 from cognitivedrone.data.episode import Encoding, decode_image, encode_image
 from cognitivedrone.errors import import_extra
-from cognitivedrone.sim.views import FOCAL_PX
+from cognitivedrone.sim.drawing.views import FOCAL_PX
 from cognitivedrone.types import IMAGE_SIZE, FloatArray
 
 IMAGE_TYPE: Final = "sensor_msgs/msg/CompressedImage"

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 
-from cognitivedrone.models.text import words_of
+from cognitivedrone.models.words.text import words_of
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.tasks.suites import AUTHORED
 

@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 
 from cognitivedrone.errors import TaskError, did_you_mean
-from cognitivedrone.models.calculator import evaluate
+from cognitivedrone.models.words.calculator import evaluate
 from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks.generate import Scene, plural, words
 from cognitivedrone.tasks.symbols import logo_name

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from cognitivedrone.models.finder import SLOTS
+from cognitivedrone.models.eyes.finder import SLOTS
 from cognitivedrone.reasoners.scene_text import STAGES
 from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, HARD_FAMILIES
 from cognitivedrone.tasks.generate import TRAIN, Draw, Pools

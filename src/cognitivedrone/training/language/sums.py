@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from cognitivedrone.models.calculator import calculate, evaluate
-from cognitivedrone.models.number_words import ONES, TEENS, TENS
+from cognitivedrone.models.words.calculator import calculate, evaluate
+from cognitivedrone.models.words.number_words import ONES, TEENS, TENS
 
 _TRIES: Final = 6
 _BINARY = re.compile(r"(\d+|\(.*\))([-+*])(\d+|\(.*\))")

@@ -12,8 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from cognitivedrone.models.calculator import calculate
-from cognitivedrone.models.number_words import ONES, ORDINALS, TEENS, TENS, spans_of
+from cognitivedrone.models.words.calculator import calculate
+from cognitivedrone.models.words.number_words import ONES, ORDINALS, TEENS, TENS, spans_of
 from cognitivedrone.references import PERSON_ATTRIBUTES
 from cognitivedrone.tasks import vocabulary
 from cognitivedrone.tasks.facts import FACTS, GROUPS

@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from cognitivedrone.errors import TaskError
-from cognitivedrone.models.calculator import calculate, evaluate
+from cognitivedrone.models.words.calculator import calculate, evaluate
 from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks import symbols, wording
 from cognitivedrone.tasks.facts import FACTS

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
-from cognitivedrone.models.panel_reader import Reader
+from cognitivedrone.models.eyes.panel_reader import Reader
 from cognitivedrone.references import parse_reference
 from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.training.perception.panel_crops import PanelCrops, WiderWorld, draw_any_label

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone.frames import rotate_yaw, rotation_matrix, world_to_heading, wrap_angle, yaw_of
 from cognitivedrone.policies.expert import ExpertConfig, intent
-from cognitivedrone.sim.views import FOCAL_PX, MOUNT
+from cognitivedrone.sim.drawing.views import FOCAL_PX, MOUNT
 from cognitivedrone.types import ACTION_LIMITS, CONTROL_HZ, IMAGE_SIZE, FloatArray, Stage
 from cognitivedrone.world import geometry
 

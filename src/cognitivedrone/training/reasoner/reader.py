@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-from cognitivedrone.models.panel_reader import Reader, ReaderConfig
+from cognitivedrone.models.eyes.panel_reader import Reader, ReaderConfig
 from cognitivedrone.training.perception.attributes import ATTRIBUTES, AttributeIndex
 from cognitivedrone.training.perception.panel_crops import PanelCrops, WiderWorld
 from cognitivedrone.training.trainer.checkpoint import read_checkpoint, restore, save_checkpoint

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-from cognitivedrone.models.gate_selector import GateSelector, SelectorConfig
 from cognitivedrone.models.reasoner_file import SELECTOR_FILE
-from cognitivedrone.models.scene_tokens import INPUTS, SceneTokenizer, stacked
+from cognitivedrone.models.words.gate_selector import GateSelector, SelectorConfig
+from cognitivedrone.models.words.scene_tokens import INPUTS, SceneTokenizer, stacked
 from cognitivedrone.reasoners.scene_text import ReadScene, SceneWriter
 from cognitivedrone.training.language.problems import NAMES, SHARES, Mix, Problem, Problems
 from cognitivedrone.training.perception.attributes import AttributeIndex

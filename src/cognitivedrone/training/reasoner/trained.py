@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cognitivedrone.models.gate_selector import GateSelector, SelectorConfig
+from cognitivedrone.models.words.gate_selector import GateSelector, SelectorConfig
 from cognitivedrone.training.trainer.start import Start
 
 

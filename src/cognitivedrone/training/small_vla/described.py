@@ -12,10 +12,10 @@ from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.models.attributes import AttributeSchema
-from cognitivedrone.models.finder import SLOTS
-from cognitivedrone.models.language import Language
-from cognitivedrone.models.scene_tokens import SceneTokenizer, stacked
-from cognitivedrone.models.text_encoder import parts_of
+from cognitivedrone.models.eyes.finder import SLOTS
+from cognitivedrone.models.words.language import Language
+from cognitivedrone.models.words.scene_tokens import SceneTokenizer, stacked
+from cognitivedrone.models.words.text_encoder import parts_of
 from cognitivedrone.training.language.problems import ABSENT, ALONE, Mix, Problem
 from cognitivedrone.training.perception.attributes import gate_looks
 from cognitivedrone.training.perception.readings import Readings

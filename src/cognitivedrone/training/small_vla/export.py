@@ -17,14 +17,14 @@ import torch
 from cognitivedrone import checkout
 from cognitivedrone.files import read_regular, replace_file, replacing
 from cognitivedrone.models.attributes import AttributeSchema
-from cognitivedrone.models.gate_selector import SelectorConfig
-from cognitivedrone.models.language import PARTS, LanguageConfig
+from cognitivedrone.models.eyes.panel_reader import ReaderConfig
 from cognitivedrone.models.onnx_file import LARGEST_BYTES, Provenance
-from cognitivedrone.models.panel_reader import ReaderConfig
-from cognitivedrone.models.scene_tokens import LENGTHS
 from cognitivedrone.models.small_file import ActionStatistics, Description, SmallModel, describe
 from cognitivedrone.models.small_vla import STATE, SmallVLA
-from cognitivedrone.models.text_encoder import FILE, packaged_encoder
+from cognitivedrone.models.words.gate_selector import SelectorConfig
+from cognitivedrone.models.words.language import PARTS, LanguageConfig
+from cognitivedrone.models.words.scene_tokens import LENGTHS
+from cognitivedrone.models.words.text_encoder import FILE, packaged_encoder
 from cognitivedrone.policies.expert import ExpertConfig
 from cognitivedrone.training.small_vla.graph import write_onnx
 from cognitivedrone.training.small_vla.language_network import LanguageLoss, LanguageNetwork

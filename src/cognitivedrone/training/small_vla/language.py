@@ -18,11 +18,11 @@ from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.models.gate_selector import SelectorConfig
-from cognitivedrone.models.language import LanguageConfig, TextEncoder
-from cognitivedrone.models.panel_reader import ReaderConfig
-from cognitivedrone.models.scene_tokens import INPUTS, SceneTokenizer, number_text, stacked
-from cognitivedrone.models.text_encoder import FILE
+from cognitivedrone.models.eyes.panel_reader import ReaderConfig
+from cognitivedrone.models.words.gate_selector import SelectorConfig
+from cognitivedrone.models.words.language import LanguageConfig, TextEncoder
+from cognitivedrone.models.words.scene_tokens import INPUTS, SceneTokenizer, number_text, stacked
+from cognitivedrone.models.words.text_encoder import FILE
 from cognitivedrone.training.language.problems import ALONE, NAMES, Mix, Problem, Problems
 from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.training.perception.calibration import calibration_crops, temperature_of

@@ -8,10 +8,10 @@ from typing import ClassVar
 from torch import Tensor, nn
 
 from cognitivedrone.models.attributes import AttributeSchema
-from cognitivedrone.models.gate_selector import SelectorConfig
-from cognitivedrone.models.language import Language, LanguageConfig, TextEncoder
-from cognitivedrone.models.panel_reader import Reader, ReaderConfig
-from cognitivedrone.models.scene_tokens import INPUTS
+from cognitivedrone.models.eyes.panel_reader import Reader, ReaderConfig
+from cognitivedrone.models.words.gate_selector import SelectorConfig
+from cognitivedrone.models.words.language import Language, LanguageConfig, TextEncoder
+from cognitivedrone.models.words.scene_tokens import INPUTS
 from cognitivedrone.training.small_vla.described import text_loss
 
 _FROZEN_LAYERS = 2

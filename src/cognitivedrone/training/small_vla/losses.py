@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-from cognitivedrone.models.finder import (
+from cognitivedrone.models.eyes.finder import (
     CELLS,
     LOOK_GROUPS,
     SLOTS,

@@ -13,11 +13,10 @@ from torch import Tensor, nn
 
 from cognitivedrone.files import replacing
 from cognitivedrone.models.attributes import AttributeSchema
-from cognitivedrone.models.finder import LOOKS, SLOTS
-from cognitivedrone.models.language import PARTS, Language, TextEncoder
+from cognitivedrone.models.eyes.finder import LOOKS, SLOTS
+from cognitivedrone.models.eyes.opinions import NONE
+from cognitivedrone.models.eyes.panel_reader import PanelReader
 from cognitivedrone.models.onnx_file import Provenance, write_table
-from cognitivedrone.models.opinions import NONE
-from cognitivedrone.models.panel_reader import PanelReader
 from cognitivedrone.models.reasoner_file import (
     LANGUAGE,
     LANGUAGE_FILE,
@@ -26,9 +25,10 @@ from cognitivedrone.models.reasoner_file import (
     LanguageModel,
     PanelReaderModel,
 )
-from cognitivedrone.models.scene_tokens import INPUTS, LENGTHS
 from cognitivedrone.models.small_vla import SmallVLA
-from cognitivedrone.models.text_encoder import FILE, TEXT_ENCODER, TextEncoderModel
+from cognitivedrone.models.words.language import PARTS, Language, TextEncoder
+from cognitivedrone.models.words.scene_tokens import INPUTS, LENGTHS
+from cognitivedrone.models.words.text_encoder import FILE, TEXT_ENCODER, TextEncoderModel
 from cognitivedrone.training.small_vla.graph import in_eight_bits, write_onnx
 from cognitivedrone.types import COLORS
 

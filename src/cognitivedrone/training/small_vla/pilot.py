@@ -13,7 +13,7 @@ from cognitivedrone.envs.track_runner import TrackConfig
 from cognitivedrone.envs.worlds import Worlds
 from cognitivedrone.labels import load_pack
 from cognitivedrone.models.small_vla import SmallVLA
-from cognitivedrone.models.text_encoder import TextEncoderModel, packed
+from cognitivedrone.models.words.text_encoder import TextEncoderModel, packed
 from cognitivedrone.tasks import Suite
 from cognitivedrone.training.perception.ground_truth import Poses
 from cognitivedrone.training.trainer.precision import trains_in_bf16

@@ -13,10 +13,10 @@ from torch import nn
 from cognitivedrone.data.store import Store
 from cognitivedrone.envs.track_runner import TrackConfig
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.models.language import LanguageConfig
-from cognitivedrone.models.panel_reader import ReaderConfig
+from cognitivedrone.models.eyes.panel_reader import ReaderConfig
 from cognitivedrone.models.small_vla import SmallVLA, SmallVLAConfig
-from cognitivedrone.models.text_encoder import encoder_of
+from cognitivedrone.models.words.language import LanguageConfig
+from cognitivedrone.models.words.text_encoder import encoder_of
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.training.perception.attributes import ATTRIBUTES, AttributeIndex
 from cognitivedrone.training.small_vla.losses import LossModule, LossWeights

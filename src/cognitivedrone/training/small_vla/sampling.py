@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cognitivedrone.models.text_encoder import TextEncoderModel
+from cognitivedrone.models.words.text_encoder import TextEncoderModel
 from cognitivedrone.policies.expert import ExpertConfig
 from cognitivedrone.tasks.directives import write_directive
 from cognitivedrone.tasks.generate import TRAIN, Pools

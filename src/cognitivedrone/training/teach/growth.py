@@ -10,7 +10,7 @@ from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.small_vla import SmallVLA
-from cognitivedrone.models.text_encoder import TextEncoderModel, encoder_of
+from cognitivedrone.models.words.text_encoder import TextEncoderModel, encoder_of
 from cognitivedrone.training.small_vla.language import spoken
 from cognitivedrone.training.small_vla.trained import trained
 from cognitivedrone.training.trainer.start import Start

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from cognitivedrone.errors import ModelError, TrainingError
 from cognitivedrone.models.reasoner_file import SELECTOR_FILE, GateSelectorModel
 from cognitivedrone.models.small_vla import SmallVLA
-from cognitivedrone.models.text_encoder import TextEncoderModel, encoder_of, packed
+from cognitivedrone.models.words.text_encoder import TextEncoderModel, encoder_of, packed
 from cognitivedrone.terminal import console
 from cognitivedrone.training.language.problems import Problem, Problems
 from cognitivedrone.training.perception.attributes import AttributeIndex

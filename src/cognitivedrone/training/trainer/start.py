@@ -16,7 +16,7 @@ from cognitivedrone.files import read_regular
 from cognitivedrone.files.schema import check_form
 from cognitivedrone.models.onnx_file import LARGEST_BYTES
 from cognitivedrone.models.small_file import FORMER, KIND
-from cognitivedrone.models.text_encoder import TextEncoderModel, encoder_of
+from cognitivedrone.models.words.text_encoder import TextEncoderModel, encoder_of
 from cognitivedrone.training.trainer.checkpoint import origin_of, read_checkpoint
 
 Part = Literal["policy", "language", "reader", "selector"]

@@ -21,9 +21,9 @@ from cognitivedrone.envs.track_runner import scenery_of
 from cognitivedrone.errors import GazeboError
 from cognitivedrone.frames import quaternion_from_yaw, rotate_yaw, wrap_angle, yaw_of
 from cognitivedrone.interfaces import LabelPack
-from cognitivedrone.sim.camera import Cameras
+from cognitivedrone.sim.drawing.camera import Cameras
+from cognitivedrone.sim.drawing.views import first_person_view
 from cognitivedrone.sim.drone_world import Scenery
-from cognitivedrone.sim.views import first_person_view
 from cognitivedrone.types import DroneState, FloatArray, Image, Stage
 from cognitivedrone.vehicles.gazebo.check import check, find_checker
 from cognitivedrone.vehicles.gazebo.comparison import Likeness, compare

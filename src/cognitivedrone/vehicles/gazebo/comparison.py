@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.frames import rotate_yaw
-from cognitivedrone.sim.views import View
+from cognitivedrone.sim.drawing.views import View
 from cognitivedrone.types import FloatArray, Image, Stage
 from cognitivedrone.world import geometry
 

@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from cognitivedrone.control.health import Health
 from cognitivedrone.control.safety import Decision, Order, SafetyConfig, order
+from cognitivedrone.control.safety.health import Health
 from cognitivedrone.errors import LinkError
 from cognitivedrone.files.temporary import TemporaryFolder
 from cognitivedrone.types import Action

@@ -15,7 +15,7 @@ from typing import Final
 from xml.etree import ElementTree as ET
 
 from cognitivedrone.sim.airframe import GRAVITY, IRIS, ROTORS, Airframe
-from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT
+from cognitivedrone.sim.drawing.views import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.types import IMAGE_SIZE
 from cognitivedrone.vehicles.gazebo.sdf import add, material, numbers, paint
 from cognitivedrone.world.appearance import PLAIN, RGB, Appearance

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cognitivedrone.control.fence import Fence
 from cognitivedrone.control.safety import SafetyConfig, Timeouts
+from cognitivedrone.control.safety.fence import Fence
 from cognitivedrone.errors import CameraError, LinkError
 from cognitivedrone.plan import SafetySpec, VehicleSpec
 from cognitivedrone.types import Track

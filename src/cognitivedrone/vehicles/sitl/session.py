@@ -16,10 +16,10 @@ from cognitivedrone.envs.track_runner import TrackRunner
 from cognitivedrone.errors import CameraError, LinkError
 from cognitivedrone.files.temporary import TemporaryFolder
 from cognitivedrone.sim.airframe import Airframe
-from cognitivedrone.sim.camera import Cameras
+from cognitivedrone.sim.drawing.camera import Cameras
+from cognitivedrone.sim.drawing.gl import renderer_name
 from cognitivedrone.sim.drone_world import Scenery, Start
 from cognitivedrone.sim.dynamics import Flight
-from cognitivedrone.sim.gl import renderer_name
 from cognitivedrone.types import Action, DroneState, FloatArray, Image, Observation, Stage, Track
 from cognitivedrone.vehicles import autopilot_file
 from cognitivedrone.vehicles.camera import Shot

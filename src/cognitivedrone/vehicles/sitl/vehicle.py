@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from cognitivedrone.control.health import Health
 from cognitivedrone.control.safety import Decision, Order
+from cognitivedrone.control.safety.health import Health
 from cognitivedrone.errors import LinkError, RunError
 from cognitivedrone.files.temporary import TemporaryFolder
 from cognitivedrone.sim.airframe import IRIS, Airframe

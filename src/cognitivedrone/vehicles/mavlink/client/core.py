@@ -20,7 +20,7 @@ from typing import Literal
 
 import numpy as np
 
-from cognitivedrone.control.health import Health
+from cognitivedrone.control.safety.health import Health
 from cognitivedrone.errors import LinkError
 from cognitivedrone.types import Action, FloatArray
 from cognitivedrone.vehicles.checklist import Checklist

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from cognitivedrone.control.health import Health
 from cognitivedrone.control.safety import Decision, Order
+from cognitivedrone.control.safety.health import Health
 from cognitivedrone.types import Action
 
 __all__ = ["Decision", "Guard"]

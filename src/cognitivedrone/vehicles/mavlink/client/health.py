@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cognitivedrone.control.health import VELOCITY_MODES, Health
+from cognitivedrone.control.safety.health import VELOCITY_MODES, Health
 from cognitivedrone.types import FloatArray
 from cognitivedrone.vehicles.mavlink.client.heartbeats import Grounded
 from cognitivedrone.vehicles.mavlink.client.traffic import Traffic, impostor_of

@@ -14,10 +14,10 @@ from typing import Final
 import numpy as np
 from PIL import Image
 
-from cognitivedrone.data import drawing
 from cognitivedrone.data.disk import write_text
 from cognitivedrone.data.episode import Episode, decode_image, encode_image
-from cognitivedrone.data.overview import ACTION_NAMES, FamilyCount, Histogram, megabytes, overview
+from cognitivedrone.data.pages import drawing
+from cognitivedrone.data.pages.overview import ACTION_NAMES, FamilyCount, Histogram, megabytes, overview
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError
 from cognitivedrone.text.pages import render_page

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from cognitivedrone.apps.lexicon import Predicate
+from cognitivedrone.apps.understanding.lexicon import Predicate
 
 DENIALS = frozenset({"not", "no", "without", "never", "nor", "neither"})
 

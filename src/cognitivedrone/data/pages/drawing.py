@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.data.episode import Episode
-from cognitivedrone.data.overview import Histogram
+from cognitivedrone.data.pages.overview import Histogram
 from cognitivedrone.tasks.validate import right_gate
 from cognitivedrone.types import ACTION_LIMITS
 

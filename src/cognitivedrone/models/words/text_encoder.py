@@ -3,7 +3,7 @@
 It runs once for an instruction, not once for a frame. Contract of its graph; the batch is a dynamic axis, L the number
 of tokens, W the width: inputs `tokens`, `positions`, `parts` int64 (batch, L); output `words` float32 (batch, L, W),
 zero where there is no token. The description holds the word pieces, and the digest by which a policy names the encoder
-that it was trained with. The network is `models.language.TextEncoder`.
+that it was trained with. The network is `models.words.language.TextEncoder`.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError
-from cognitivedrone.models.calculator import calculate
 from cognitivedrone.models.onnx_file import check_graph, count_of, field_of, numbers_of, open_model
-from cognitivedrone.models.scene_tokens import INPUTS, SceneTokenizer, number_text, stacked
+from cognitivedrone.models.words.calculator import calculate
+from cognitivedrone.models.words.scene_tokens import INPUTS, SceneTokenizer, number_text, stacked
 
 TEXT_ENCODER, FILE = "text-encoder", "text_encoder.onnx"
 _KEPT = 512  # instructions whose meaning is remembered

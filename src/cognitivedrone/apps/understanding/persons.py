@@ -6,8 +6,8 @@ import functools
 import re
 from collections.abc import Mapping, Sequence
 
-from cognitivedrone.apps import lexicon
-from cognitivedrone.apps.sentence import normalised, words_of
+from cognitivedrone.apps.understanding import lexicon
+from cognitivedrone.apps.understanding.sentence import normalised, words_of
 from cognitivedrone.tasks.people import FEATURES, TRAIN_CAST, Feature
 
 FEATURE_NAMES = {

@@ -13,7 +13,7 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from cognitivedrone.sim.renderers import on_processor
+from cognitivedrone.sim.drawing.renderers import on_processor
 from cognitivedrone.types import Image, Images
 from cognitivedrone.world.engine import mujoco
 

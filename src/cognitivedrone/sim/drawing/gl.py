@@ -25,7 +25,7 @@ from queue import SimpleQueue
 from typing import Any, Final, TypeVar
 
 from cognitivedrone.errors import FirstFrameError, RenderError
-from cognitivedrone.sim import contexts, renderers
+from cognitivedrone.sim.drawing import contexts, renderers
 from cognitivedrone.system import OPENGL, OPENGL_TEST, after_fork, c_library
 from cognitivedrone.system.processes import environment
 from cognitivedrone.system.shortages import tight_limit, way_out_of

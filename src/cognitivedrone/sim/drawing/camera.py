@@ -20,10 +20,10 @@ from PIL import Image as PillowImage
 
 from cognitivedrone.errors import RenderError
 from cognitivedrone.frames import rotation_matrix
-from cognitivedrone.sim.gl import GLThread, enlarge_only, renderer_name
-from cognitivedrone.sim.readback import OneByOne, readback
-from cognitivedrone.sim.renderers import contexts_for, on_processor
-from cognitivedrone.sim.views import FIELD_OF_VIEW, MOUNT, View, focal_length, top_view
+from cognitivedrone.sim.drawing.gl import GLThread, enlarge_only, renderer_name
+from cognitivedrone.sim.drawing.readback import OneByOne, readback
+from cognitivedrone.sim.drawing.renderers import contexts_for, on_processor
+from cognitivedrone.sim.drawing.views import FIELD_OF_VIEW, MOUNT, View, focal_length, top_view
 from cognitivedrone.types import IMAGE_SIZE, DroneState, FloatArray, Image, Images, Stage, Vector, Vectors
 from cognitivedrone.world.appearance import PLAIN, Appearance, expose
 from cognitivedrone.world.assets import BOARD, MAX_SLOTS, build_assets, write_picture, write_place

@@ -20,7 +20,7 @@ from lark import Lark, Token, Transformer, v_args
 from lark.exceptions import LarkError
 from lark.lexer import Lexer
 
-from cognitivedrone.models.number_words import (
+from cognitivedrone.models.words.number_words import (
     ONES,
     ORDINALS,
     TEENS,
@@ -154,7 +154,7 @@ class _Pieces(Lexer):
 @functools.cache
 def _parsers() -> tuple[Lark, ...]:
     """The grammar with either reading of what "twice" and the like may take."""
-    grammar = (resources.files("cognitivedrone.models") / "arithmetic.lark").read_text("utf-8")
+    grammar = (resources.files(__package__) / "arithmetic.lark").read_text("utf-8")
     return tuple(
         Lark(
             f"{grammar}\n?last: {last}\n",

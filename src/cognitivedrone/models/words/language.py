@@ -20,9 +20,9 @@ from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.models.attributes import SIGNS, SUM_GROUPS, AttributeSchema
-from cognitivedrone.models.finder import LOOKS
-from cognitivedrone.models.gate_selector import Layer, SelectorConfig
-from cognitivedrone.models.scene_tokens import LENGTHS
+from cognitivedrone.models.eyes.finder import LOOKS
+from cognitivedrone.models.words.gate_selector import Layer, SelectorConfig
+from cognitivedrone.models.words.scene_tokens import LENGTHS
 
 PARTS = 2
 """Instruction, and the result of the calculation that it asks for."""

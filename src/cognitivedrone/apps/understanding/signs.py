@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from cognitivedrone.apps.lexicon import KIND_WORDS, LARGEST_NUMBER, Predicate
-from cognitivedrone.apps.sentence import words_of
-from cognitivedrone.models.calculator import calculate
+from cognitivedrone.apps.understanding.lexicon import KIND_WORDS, LARGEST_NUMBER, Predicate
+from cognitivedrone.apps.understanding.sentence import words_of
+from cognitivedrone.models.words.calculator import calculate
 from cognitivedrone.tasks.vocabulary import LETTERS
 from cognitivedrone.tasks.wording import NUMBER_WORDS
 

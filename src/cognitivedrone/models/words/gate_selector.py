@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-from cognitivedrone.models.scene_tokens import LENGTHS, PARTS
+from cognitivedrone.models.words.scene_tokens import LENGTHS, PARTS
 
 ABSENT = 3
 """Index of the answer that no gate is the right one."""

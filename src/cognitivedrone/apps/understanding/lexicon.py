@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cognitivedrone.apps.sentence import OFTEN, normalised, stem, words_of
-from cognitivedrone.models.text_encoder import TextEncoderModel
+from cognitivedrone.apps.understanding.sentence import OFTEN, normalised, stem, words_of
+from cognitivedrone.models.words.text_encoder import TextEncoderModel
 from cognitivedrone.tasks import vocabulary
 from cognitivedrone.tasks.facts import FACTS, GROUPS, HEALTHY, KIND_OF, UNHEALTHY
 from cognitivedrone.tasks.knowledge.claim import claims
@@ -44,7 +44,7 @@ _SYMBOL_FACTS = (
 @functools.cache
 def words(name: str) -> frozenset[str]:
     """A list of words in `words.txt`."""
-    text = resources.files("cognitivedrone.apps").joinpath("words.txt").read_text("utf-8")
+    text = resources.files(__package__).joinpath("words.txt").read_text("utf-8")
     found = re.search(rf"^\[{name}\]\n([^#\[]+)", text, re.MULTILINE)
     assert found is not None, name  # noqa: S101  (a file of the package)
     return frozenset(found[1].split())

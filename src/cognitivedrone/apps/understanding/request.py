@@ -13,10 +13,10 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
-from cognitivedrone.apps import lexicon, persons, signs
-from cognitivedrone.apps.lexicon import KIND_WORDS, PLACES, Predicate
-from cognitivedrone.apps.predicates import DENIALS, close_together, denied_alike, says_more, together
-from cognitivedrone.apps.sentence import (
+from cognitivedrone.apps.understanding import lexicon, persons, signs
+from cognitivedrone.apps.understanding.lexicon import KIND_WORDS, PLACES, Predicate
+from cognitivedrone.apps.understanding.predicates import DENIALS, close_together, denied_alike, says_more, together
+from cognitivedrone.apps.understanding.sentence import (
     Speller,
     corrected_parts,
     normalised,

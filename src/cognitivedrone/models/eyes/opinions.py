@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.models.attributes import AttributeSchema
-from cognitivedrone.models.picture_classifier import crop_of, paper_share
+from cognitivedrone.models.eyes.picture_classifier import crop_of, paper_share
 from cognitivedrone.types import COLORS, Image
 
 NONE = -1.0

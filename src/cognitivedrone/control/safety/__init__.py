@@ -31,8 +31,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cognitivedrone.choices import DecisionKind
-from cognitivedrone.control.fence import Fence, keep_inside, outside_by
-from cognitivedrone.control.health import VELOCITY_MODES, Health
+from cognitivedrone.control.safety.fence import Fence, keep_inside, outside_by
+from cognitivedrone.control.safety.health import VELOCITY_MODES, Health
 from cognitivedrone.types import ACTION_LIMITS, Action, Commands, FloatArray, Vector
 
 Kind = DecisionKind

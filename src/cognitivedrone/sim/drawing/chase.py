@@ -18,10 +18,10 @@ from numpy.typing import ArrayLike
 from cognitivedrone.errors import RenderError
 from cognitivedrone.frames import quaternion_from_yaw, rotate_yaw, wrap_angle, yaw_of
 from cognitivedrone.sim.airframe import RACER, ROTORS, Airframe
+from cognitivedrone.sim.drawing.gl import GLThread
+from cognitivedrone.sim.drawing.readback import OneByOne
+from cognitivedrone.sim.drawing.views import View
 from cognitivedrone.sim.drone_world import Scenery
-from cognitivedrone.sim.gl import GLThread
-from cognitivedrone.sim.readback import OneByOne
-from cognitivedrone.sim.views import View
 from cognitivedrone.types import COLORS, FloatArray, Image, Quaternion, Stage, Vector
 from cognitivedrone.world import assets, geometry, places
 from cognitivedrone.world.appearance import Appearance

@@ -10,8 +10,8 @@ import re
 from collections.abc import Collection
 from dataclasses import dataclass
 
-from cognitivedrone.apps import lexicon
-from cognitivedrone.apps.request import Request, Understanding
+from cognitivedrone.apps.understanding import lexicon
+from cognitivedrone.apps.understanding.request import Request, Understanding
 from cognitivedrone.pilot import Pilot
 
 LANGUAGE = "the pilot knows English, and names of common things and colours in German, French, Spanish and Italian"

@@ -16,8 +16,8 @@ from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.models.attributes import AttributeSchema
-from cognitivedrone.models.finder import SLOTS, Block, Finder, crops, look_probabilities, panel_boxes
-from cognitivedrone.models.joined import Joined
+from cognitivedrone.models.eyes.finder import SLOTS, Block, Finder, crops, look_probabilities, panel_boxes
+from cognitivedrone.models.eyes.joined import Joined
 
 
 @dataclass(frozen=True, slots=True)

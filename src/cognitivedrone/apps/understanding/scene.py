@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from cognitivedrone.apps.config import AUTO, FlyPlan
-from cognitivedrone.apps.evidence import Evidence, not_understood
-from cognitivedrone.apps.lexicon import spoken
-from cognitivedrone.apps.request import Request, Understanding
+from cognitivedrone.apps.understanding.evidence import Evidence, not_understood
+from cognitivedrone.apps.understanding.lexicon import spoken
+from cognitivedrone.apps.understanding.request import Request, Understanding
 from cognitivedrone.errors import NotUnderstood
 from cognitivedrone.labels import FolderPack, load_pack
 from cognitivedrone.tasks import Suite, track_at, vocabulary

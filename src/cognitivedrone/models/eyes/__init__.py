@@ -1,0 +1,1 @@
+"""Finding panels in a frame and reading them."""

@@ -1,0 +1,1 @@
+"""Sentences as vectors, sums, and the gate that a sentence means."""

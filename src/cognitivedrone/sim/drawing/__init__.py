@@ -1,0 +1,1 @@
+"""Drawing the world: OpenGL, its contexts, cameras and the view from behind."""
