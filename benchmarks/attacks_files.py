@@ -21,7 +21,7 @@ from cognitivedrone.benchmark.scores.results import read_results
 from cognitivedrone.errors import CognitiveDroneError, LinkError
 from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners import make_reasoner
-from cognitivedrone.vehicles.mavlink.client.parameters import ParameterChanges
+from cognitivedrone.vehicles.mavlink.client.checks.parameters import ParameterChanges
 
 SUITE = "open-v1:smoke"
 MARKUP = '<script>alert(1)</script><img src=x onerror="alert(1)"><a href="javascript:alert(1)">x</a>'

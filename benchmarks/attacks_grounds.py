@@ -92,7 +92,7 @@ def _not_a_program(folder: Path) -> object:
 
 
 def _serial_ports() -> Iterator[tuple[str, Callable[[Path], str]]]:
-    from cognitivedrone.vehicles.mavlink.client.transport import open_transport
+    from cognitivedrone.vehicles.mavlink.client.link.transport import open_transport
 
     urls = {
         "a file": "serial:{folder}/file", "a folder": "serial:{folder}", "a pipe": "serial:{folder}/pipe",
@@ -130,7 +130,7 @@ def _spoken(act: Try) -> Callable[[Path], str]:
 
 
 def _garbage(_folder: Path) -> object:
-    from cognitivedrone.vehicles.mavlink.client.transport import open_transport
+    from cognitivedrone.vehicles.mavlink.client.link.transport import open_transport
 
     ours, theirs = pty.openpty()
     link = open_transport(f"serial:{os.ttyname(theirs)}:57600")
@@ -143,7 +143,7 @@ def _garbage(_folder: Path) -> object:
 
 
 def _vanished(_folder: Path) -> object:
-    from cognitivedrone.vehicles.mavlink.client.transport import open_transport
+    from cognitivedrone.vehicles.mavlink.client.link.transport import open_transport
 
     ours, theirs = pty.openpty()
     link = open_transport(f"serial:{os.ttyname(theirs)}:57600")

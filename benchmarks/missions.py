@@ -16,7 +16,7 @@ import tyro
 
 from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.benchmark.scores.results import Results, read_results
-from cognitivedrone.tasks.mission_tasks import GENERATED
+from cognitivedrone.tasks.families.mission_tasks import GENERATED
 from cognitivedrone.types import EpisodeResult
 
 FLYING = ("collision", "missed", "out_of_bounds")

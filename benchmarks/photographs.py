@@ -30,8 +30,8 @@ from cognitivedrone.labels import load_pack
 from cognitivedrone.labels.images import SUFFIXES
 from cognitivedrone.plan import Scenario
 from cognitivedrone.tasks.facts import KIND_OF
+from cognitivedrone.tasks.families.pictures import PICTURE_FAMILIES, pictures_suite
 from cognitivedrone.tasks.format import task_to_json
-from cognitivedrone.tasks.pictures import PICTURE_FAMILIES, pictures_suite
 
 STYLE = "photograph"
 

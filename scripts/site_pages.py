@@ -38,7 +38,7 @@ PYTHON = {
     "evaluate": ("benchmark.evaluate", "benchmark.config", "benchmark.scores.results", "benchmark.scores.scoring"),
     "interfaces": ("interfaces", "types", "registry"),
     "errors": ("errors",),
-    "tasks": ("tasks.suites", "tasks.format", "tasks.generate", "tasks.families", "tasks.pictures", "layout"),
+    "tasks": ("tasks.suites", "tasks.format", "tasks.generate", "tasks.families", "tasks.families.pictures", "layout"),
     "labels": ("labels.pack", "labels.folder", "labels.shipped", "labels.extended", "references"),
     "environments": ("envs.gym", "envs.vector", "envs.wrappers", "envs.spaces"),
     "data": ("data.store", "data.episode", "data.formats", "collect.recipe", "collect.fleet"),

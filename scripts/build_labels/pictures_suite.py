@@ -12,7 +12,7 @@ from pathlib import Path
 import cognitivedrone.tasks
 from cognitivedrone.labels import load_pack
 from cognitivedrone.tasks.build import suite_text
-from cognitivedrone.tasks.pictures import PICTURES, STYLES, pictures_suite
+from cognitivedrone.tasks.families.pictures import PICTURES, STYLES, pictures_suite
 from cognitivedrone.tasks.suites import file_of
 
 

@@ -12,7 +12,7 @@ from cognitivedrone.benchmark.scores.scoring import summarize
 from cognitivedrone.envs.gym import CognitiveDroneEnv
 from cognitivedrone.envs.track_runner import FORBIDDEN_M, forbidden_gates
 from cognitivedrone.tasks import load_suite
-from cognitivedrone.tasks.mission_tasks import GENERATED, typed_missions
+from cognitivedrone.tasks.families.mission_tasks import GENERATED, typed_missions
 from cognitivedrone.types import EpisodeResult, StageResult
 
 MISSIONS = load_suite("open-v3:missions")

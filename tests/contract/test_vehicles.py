@@ -37,7 +37,7 @@ from cognitivedrone.types import ACTION_LIMITS
 from cognitivedrone.vehicles import VEHICLES, check_tracks, open_vehicle
 from cognitivedrone.vehicles.contract import Pace, Request, Vehicle
 from cognitivedrone.vehicles.gazebo import pilot
-from cognitivedrone.vehicles.gazebo.export import export
+from cognitivedrone.vehicles.gazebo.worlds.export import export
 
 SUITE = load_suite("open-v1:smoke")
 EPISODE = 4

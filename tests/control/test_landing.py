@@ -12,7 +12,7 @@ from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.drone_world import Start
 from cognitivedrone.sim.gate_monitor import judge
 from cognitivedrone.sim.simulator import Simulator
-from cognitivedrone.tasks.mission_tasks import landing_task
+from cognitivedrone.tasks.families.mission_tasks import landing_task
 from cognitivedrone.types import Color, Observation, Stage
 from cognitivedrone.world import geometry
 

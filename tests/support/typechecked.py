@@ -9,7 +9,15 @@ from typing import Any, get_args
 from beartype import beartype
 from jaxtyping import AbstractArray, config, install_import_hook
 
-CHECKED: tuple[str, ...] = ("types", "frames", "sim.drawing.camera", "sim.simulator", "sim.drawing.views", "envs.drone", "control.loop")
+CHECKED: tuple[str, ...] = (
+    "types",
+    "frames",
+    "sim.drawing.camera",
+    "sim.simulator",
+    "sim.drawing.views",
+    "envs.drone",
+    "control.loop",
+)
 CHECKED += (
     "models.small_file",
     "models.reasoner_file",

@@ -15,17 +15,17 @@ from cognitivedrone.collect.recipe import RECIPES
 from cognitivedrone.errors import DataError, TaskError
 from cognitivedrone.plan import TaskSource
 from cognitivedrone.tasks import BASE_FAMILIES, TEST_ONLY, load_suite, read_tasks, train_task, write_tasks
-from cognitivedrone.tasks.absent import _UNLIKE, KINDS, LOOKS, absent_puzzle
 from cognitivedrone.tasks.directives import HOLD, declines, fitting_gate, parse_directive
 from cognitivedrone.tasks.facts import FACTS, HEALTHY, UNHEALTHY
+from cognitivedrone.tasks.families.absent import _UNLIKE, KINDS, LOOKS, absent_puzzle
+from cognitivedrone.tasks.families.human import _BY_PHRASE
+from cognitivedrone.tasks.families.reasoning import CONSONANTS, EVEN, ODD, VOWELS
+from cognitivedrone.tasks.families.symbols import RIVALS, logo_name
 from cognitivedrone.tasks.format import task_from_json, task_to_json
 from cognitivedrone.tasks.generate import TRAIN, Draw
-from cognitivedrone.tasks.human import _BY_PHRASE
 from cognitivedrone.tasks.matching import asks_the_same
 from cognitivedrone.tasks.people import CAST, IDENTITY, parse_person
-from cognitivedrone.tasks.reasoning import CONSONANTS, EVEN, ODD, VOWELS
 from cognitivedrone.tasks.suites import drawn_task
-from cognitivedrone.tasks.symbols import RIVALS, logo_name
 from cognitivedrone.tasks.wording import CONSONANT, NUMBER_WORDS, VOWEL
 from cognitivedrone.tasks.wording import HEALTHY as GOOD
 from cognitivedrone.tasks.wording import UNHEALTHY as BAD

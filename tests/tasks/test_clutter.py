@@ -10,7 +10,7 @@ import pytest
 from cognitivedrone.errors import TaskError
 from cognitivedrone.layout.obstacles import solids_of
 from cognitivedrone.tasks import load_suite
-from cognitivedrone.tasks.clutter import CLEAR_M, SEEN, cluttered, has_ways, is_free, is_in_the_way, seen_share
+from cognitivedrone.tasks.families.clutter import CLEAR_M, SEEN, cluttered, has_ways, is_free, is_in_the_way, seen_share
 from cognitivedrone.tasks.format import task_from_json, task_to_json
 
 TASKS = [task for (task,) in load_suite("open-v3:clutter").tracks]

@@ -25,8 +25,8 @@ from cognitivedrone.tasks import (
     wording,
 )
 from cognitivedrone.tasks.families import generator
+from cognitivedrone.tasks.families.memory import memory_track
 from cognitivedrone.tasks.generate import HELD_OUT, TRAIN, Draw, held_out_pair, plural
-from cognitivedrone.tasks.memory import memory_track
 from cognitivedrone.types import CATEGORIES, Task
 
 SAMPLES = 3000

@@ -7,8 +7,8 @@ import pytest
 from cognitivedrone.errors import TaskError
 from cognitivedrone.tasks import SUITES, load_suite
 from cognitivedrone.tasks.build import build_suite
+from cognitivedrone.tasks.families.mission_tasks import landing_task
 from cognitivedrone.tasks.format import task_from_json, task_to_json
-from cognitivedrone.tasks.mission_tasks import landing_task
 from cognitivedrone.tasks.missions import is_mission, lands, pad_directive, problem_of, sub_goals
 from cognitivedrone.tasks.suites import train_task
 

@@ -9,7 +9,7 @@ import pytest
 from cognitivedrone.errors import LabelError, TaskError
 from cognitivedrone.labels import load_pack
 from cognitivedrone.tasks import load_suite, validate_task
-from cognitivedrone.tasks.pictures import PICTURE_FAMILIES, PICTURES, STYLES, pictures_suite
+from cognitivedrone.tasks.families.pictures import PICTURE_FAMILIES, PICTURES, STYLES, pictures_suite
 from cognitivedrone.tasks.vocabulary import HELD_OUT_PICTURE_SETS, HELD_OUT_STYLES
 
 PACK = load_pack("open-v1")

@@ -19,7 +19,7 @@ from cognitivedrone.tasks import (
     train_task,
     validate_task,
 )
-from cognitivedrone.tasks.racing import INSTRUCTIONS, crowded_task
+from cognitivedrone.tasks.families.racing import INSTRUCTIONS, crowded_task
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Task
 
 STREAM = [race_task(i, seed=3) for i in range(1200)]

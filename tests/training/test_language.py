@@ -21,8 +21,8 @@ from cognitivedrone.training.launch import command_of, run
 from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.training.perception.readings import Readings
 from cognitivedrone.training.recipes import ALL_RECIPES, RECIPES
-from cognitivedrone.training.small_vla.described import described
 from cognitivedrone.training.small_vla.language import DEBUG_LANGUAGE, LanguageTraining, spoken
+from cognitivedrone.training.small_vla.language.described import described
 from cognitivedrone.training.trainer import trainer
 from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint
 from cognitivedrone.training.trainer.run_log import METRICS, read_rows

@@ -23,7 +23,7 @@ from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.training.perception.readings import Readings
 from cognitivedrone.training.recipes import RECIPES
 from cognitivedrone.training.small_vla import losses
-from cognitivedrone.training.small_vla.described import TextMix, described, text_loss
+from cognitivedrone.training.small_vla.language.described import TextMix, described, text_loss
 from cognitivedrone.training.small_vla.losses import (
     LossModule,
     LossWeights,

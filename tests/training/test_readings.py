@@ -17,7 +17,7 @@ from cognitivedrone.training.perception import readings as module
 from cognitivedrone.training.perception.attributes import ATTRIBUTES, AttributeIndex
 from cognitivedrone.training.perception.panel_crops import PanelCrops
 from cognitivedrone.training.perception.readings import Bank, Readings, read_bank, readings_of
-from cognitivedrone.training.small_vla.described import TextMix, described
+from cognitivedrone.training.small_vla.language.described import TextMix, described
 from cognitivedrone.training.trainer.start import read_start
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
 

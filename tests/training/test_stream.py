@@ -18,7 +18,7 @@ from cognitivedrone.layout import is_clear
 from cognitivedrone.models.words.text import words_of
 from cognitivedrone.models.words.text_encoder import TextEncoderModel, encoder_of
 from cognitivedrone.tasks import train_task
-from cognitivedrone.tasks.racing import INSTRUCTIONS
+from cognitivedrone.tasks.families.racing import INSTRUCTIONS
 from cognitivedrone.training.language.questions import Question, ask
 from cognitivedrone.training.perception.attributes import gate_looks
 from cognitivedrone.training.recipes import ALL_RECIPES, RECIPES

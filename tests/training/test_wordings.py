@@ -11,12 +11,12 @@ import pytest
 
 from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, HARD_FAMILIES, facts, wording
+from cognitivedrone.tasks.families.hard import KINDS
+from cognitivedrone.tasks.families.memory import memory_track
+from cognitivedrone.tasks.families.symbols import logo_name
 from cognitivedrone.tasks.generate import HELD_OUT, TRAIN, Draw, words
-from cognitivedrone.tasks.hard import KINDS
-from cognitivedrone.tasks.memory import memory_track
 from cognitivedrone.tasks.people import FEATURES, HELD_OUT_CAST
 from cognitivedrone.tasks.suites import drawn_task
-from cognitivedrone.tasks.symbols import logo_name
 from cognitivedrone.tasks.vocabulary import HELD_OUT_FONTS, HELD_OUT_STYLES, LETTERS, LOGOS
 from cognitivedrone.training.language.named_things import THINGS
 from cognitivedrone.training.language.phrasing import SPOKEN

@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from fuzz import BEAT, packed
 from pymavlink.dialects.v20 import ardupilotmega as m
 
-from cognitivedrone.vehicles.mavlink.client.decoder import NEEDED, OTHERS_HZ, Decoder, number_of
+from cognitivedrone.vehicles.mavlink.client.link.decoder import NEEDED, OTHERS_HZ, Decoder, number_of
 
 TEXT = m.MAVLink_statustext_message(3, b"again")
 NAMES = {

@@ -17,9 +17,9 @@ from fuzz import BEAT, STRANGER, VEHICLE, connected, packed, random_packet, stra
 from pymavlink.dialects.v20 import ardupilotmega as m
 
 from cognitivedrone.control.safety import Memory, SafetyConfig, decide, order, shape
-from cognitivedrone.vehicles.mavlink.client import connection
-from cognitivedrone.vehicles.mavlink.client.connection import Connection
 from cognitivedrone.vehicles.mavlink.client.health import Asked, Baseline, health_of
+from cognitivedrone.vehicles.mavlink.client.link import connection
+from cognitivedrone.vehicles.mavlink.client.link.connection import Connection
 
 LOITER = m.MAVLink_heartbeat_message(2, 3, 0x81, 5, 4, 3)
 

@@ -30,11 +30,11 @@ from waiting import soon
 from cognitivedrone.control.safety import SafetyConfig, Timeouts
 from cognitivedrone.errors import LinkError
 from cognitivedrone.vehicles.mavlink import message_socket
-from cognitivedrone.vehicles.mavlink.client import tlog
+from cognitivedrone.vehicles.mavlink.client.checks.preflight import FRESH_S
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
-from cognitivedrone.vehicles.mavlink.client.preflight import FRESH_S
-from cognitivedrone.vehicles.mavlink.client.tlog import PacketLog
-from cognitivedrone.vehicles.mavlink.client.transport import LARGEST_BACKLOG, open_transport
+from cognitivedrone.vehicles.mavlink.client.link import tlog
+from cognitivedrone.vehicles.mavlink.client.link.tlog import PacketLog
+from cognitivedrone.vehicles.mavlink.client.link.transport import LARGEST_BACKLOG, open_transport
 from cognitivedrone.vehicles.mavlink.guard import process
 from cognitivedrone.vehicles.mavlink.guard.drone import GuardedDrone
 from cognitivedrone.vehicles.mavlink.guard.messages import (

@@ -29,7 +29,7 @@ from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 from cognitivedrone.vehicles.mavlink.client.handover import ENDS_BY_ITSELF, must_beat
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.mavlink.client.health import grounded
-from cognitivedrone.vehicles.mavlink.client.heartbeats import (
+from cognitivedrone.vehicles.mavlink.client.link.heartbeats import (
     LASTS_IN_DOUBT_S,
     UNPROVEN_S,
     Flown,

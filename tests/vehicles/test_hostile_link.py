@@ -23,7 +23,7 @@ from cognitivedrone.errors import LinkError
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
-from cognitivedrone.vehicles.mavlink.client.traffic import Traffic, noticed
+from cognitivedrone.vehicles.mavlink.client.link.traffic import Traffic, noticed
 from cognitivedrone.vehicles.mavlink.server.modes import Mode
 from cognitivedrone.vehicles.mavlink.server.vehicle import SimulatedVehicle, VehicleConfig
 
@@ -44,7 +44,7 @@ def test_a_vehicle_is_flown_whatever_kind_of_packet_it_sends(wire):
 
 
 def test_a_vehicle_that_takes_signed_packets_alone_is_said_to(monkeypatch):
-    monkeypatch.setattr("cognitivedrone.vehicles.mavlink.client.connection.ACK_S", 0.1)
+    monkeypatch.setattr("cognitivedrone.vehicles.mavlink.client.link.connection.ACK_S", 0.1)
     config = MavlinkConfig(takeoff_timeout_s=60)
     with playing(wire="signed only") as peer:
         with pytest.raises(LinkError, match=r"did not answer to .*; it signs its packets, and may ignore ours"):

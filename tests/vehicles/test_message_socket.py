@@ -6,7 +6,7 @@ from contextlib import closing, suppress
 import pytest
 
 from cognitivedrone.vehicles.mavlink import message_socket
-from cognitivedrone.vehicles.mavlink.client.tlog import PacketLog, TlogWriter
+from cognitivedrone.vehicles.mavlink.client.link.tlog import PacketLog, TlogWriter
 from cognitivedrone.vehicles.mavlink.message_socket import MessageSocket, connected_pair
 
 

@@ -15,9 +15,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from peer import PARAMETERS
 
-from cognitivedrone.vehicles.mavlink.client.expected import ARDUCOPTER_PARAMETERS
-from cognitivedrone.vehicles.mavlink.client.preflight import Facts, build_checklist, corrections
-from cognitivedrone.vehicles.mavlink.client.traffic import Traffic
+from cognitivedrone.vehicles.mavlink.client.checks.expected import ARDUCOPTER_PARAMETERS
+from cognitivedrone.vehicles.mavlink.client.checks.preflight import Facts, build_checklist, corrections
+from cognitivedrone.vehicles.mavlink.client.link.traffic import Traffic
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry
 
 NAMES = tuple(expected.name for expected in ARDUCOPTER_PARAMETERS)

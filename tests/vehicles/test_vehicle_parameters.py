@@ -12,7 +12,7 @@ pytest.importorskip("pymavlink")
 sys.path.insert(0, str(Path(__file__).parent))
 
 from cognitivedrone.errors import LinkError
-from cognitivedrone.vehicles.mavlink.client.parameters import ParameterChanges, journal_of, vehicle_key
+from cognitivedrone.vehicles.mavlink.client.checks.parameters import ParameterChanges, journal_of, vehicle_key
 
 
 class Table:

@@ -123,7 +123,7 @@ def export_world(
         version: Gazebo release that the folder's README says to install: harmonic, ionic or jetty.
         labels: Label pack, or a folder of pictures.
     """
-    from cognitivedrone.vehicles.gazebo.export import export as export_to
+    from cognitivedrone.vehicles.gazebo.worlds.export import export as export_to
 
     done = export_to(suite, tasks=tasks, out=out, task=task, track=track, version=version, labels=labels)
     for world, shown in zip(done.worlds, done.track, strict=True):
@@ -137,7 +137,7 @@ def check_world(files: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     Args:
         files: Worlds or models.
     """
-    from cognitivedrone.vehicles.gazebo.check import check as check_files
+    from cognitivedrone.vehicles.gazebo.worlds.check import check as check_files
 
     print(visible(f"{len(files)} passed {check_files(files)}"))  # noqa: T201
 
@@ -153,7 +153,7 @@ def import_models(source: tyro.conf.Positional[Path], out: Path) -> None:
         source: The collector's folder of models: a task file and a folder of panels for every type.
         out: New folder to write.
     """
-    from cognitivedrone.vehicles.gazebo.classic import import_collector
+    from cognitivedrone.vehicles.gazebo.worlds.classic import import_collector
 
     done = import_collector(source, out)
     for kind, (tasks, pictures) in done.counts.items():

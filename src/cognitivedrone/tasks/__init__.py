@@ -2,8 +2,8 @@
 
 from cognitivedrone.tasks.directives import parse_directive, write_directive
 from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, HARD_FAMILIES, TASKS
+from cognitivedrone.tasks.families.racing import race_task
 from cognitivedrone.tasks.format import read_tasks, task_from_json, task_to_json, write_tasks
-from cognitivedrone.tasks.racing import race_task
 from cognitivedrone.tasks.suites import (
     ABOUT,
     SUITES,

@@ -21,15 +21,15 @@ import numpy as np
 
 from cognitivedrone.files import replace_file
 from cognitivedrone.layout import draw_layout
-from cognitivedrone.tasks.absent import KINDS, LOOKS, absent_puzzle
-from cognitivedrone.tasks.clutter import KINDS as OBSTACLES
-from cognitivedrone.tasks.clutter import cluttered
 from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, generator
+from cognitivedrone.tasks.families.absent import KINDS, LOOKS, absent_puzzle
+from cognitivedrone.tasks.families.clutter import KINDS as OBSTACLES
+from cognitivedrone.tasks.families.clutter import cluttered
+from cognitivedrone.tasks.families.memory import memory_track
+from cognitivedrone.tasks.families.mission_tasks import mission_tracks
+from cognitivedrone.tasks.families.racing import INSTRUCTIONS, single_gate
 from cognitivedrone.tasks.format import task_to_json
 from cognitivedrone.tasks.generate import HELD_OUT, TRAIN, Draw, Pools, Puzzle
-from cognitivedrone.tasks.memory import memory_track
-from cognitivedrone.tasks.mission_tasks import mission_tracks
-from cognitivedrone.tasks.racing import INSTRUCTIONS, single_gate
 from cognitivedrone.tasks.suites import BUILT, digest_of, file_of, finish
 from cognitivedrone.types import CATEGORIES, COLORS, SHAPES, SIZES, Gate, Task, Track
 

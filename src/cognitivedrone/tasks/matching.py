@@ -15,8 +15,8 @@ import numpy as np
 
 from cognitivedrone.tasks.directives import fitting_gate, parse_directive, write_directive
 from cognitivedrone.tasks.facts import FACTS, GROUPS, HEALTHY, UNHEALTHY
+from cognitivedrone.tasks.families.symbols import logo_name
 from cognitivedrone.tasks.people import FEATURES, parse_person, seen
-from cognitivedrone.tasks.symbols import logo_name
 from cognitivedrone.tasks.wording import NUMBER_WORDS
 from cognitivedrone.types import Task
 

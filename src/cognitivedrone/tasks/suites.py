@@ -37,7 +37,7 @@ BUILT: tuple[str, ...] = (
 AUTHORED: tuple[str, ...] = ("open-v2:words", "open-v3:words", "open-v3:photos", "open-v3:wild")
 """Fixed suites written by hand: their files are the source."""
 PICTURED: tuple[str, ...] = ("open-v2:pictures",)
-"""Fixed suites made from what a label pack draws (`tasks.pictures`)."""
+"""Fixed suites made from what a label pack draws (`tasks.families.pictures`)."""
 FIXED: tuple[str, ...] = BUILT + AUTHORED + PICTURED
 SUITES: tuple[str, ...] = (TRAIN_NAME, *FIXED)
 TEST_ONLY: frozenset[str] = frozenset(name for name in FIXED if not name.startswith(f"{VERSION}:"))

@@ -13,6 +13,6 @@ sys.path.insert(0, str(Path(__file__).parent))
 @pytest.fixture(scope="session")
 def track_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A track of the shipped suite, exported. For reading only."""
-    from cognitivedrone.vehicles.gazebo.export import export
+    from cognitivedrone.vehicles.gazebo.worlds.export import export
 
     return export("open-v1:track", track="0", out=tmp_path_factory.mktemp("gazebo") / "track").out

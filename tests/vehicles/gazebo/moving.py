@@ -20,7 +20,7 @@ from cognitivedrone.vehicles.gazebo.flight import GazeboFlight
 from cognitivedrone.vehicles.gazebo.live import GazeboWorld, LiveConfig
 from cognitivedrone.vehicles.gazebo.pilot import open_gazebo
 from cognitivedrone.vehicles.gazebo.sensing import Sample, TruePath
-from cognitivedrone.vehicles.gazebo.vehicle import CAMERA_TOPIC, NAME
+from cognitivedrone.vehicles.gazebo.worlds.vehicle import CAMERA_TOPIC, NAME
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 from cognitivedrone.vehicles.mavlink.server.vehicle import STEP_S, SimulatedVehicle, VehicleConfig
 

@@ -19,7 +19,7 @@ from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.types import Image, Stage
-from cognitivedrone.vehicles.gazebo.vehicle import CAMERA_TOPIC, NAME
+from cognitivedrone.vehicles.gazebo.worlds.vehicle import CAMERA_TOPIC, NAME
 from cognitivedrone.world.appearance import PLAIN
 
 POSE_S, FRAME_S = 1 / 60, 1 / 20

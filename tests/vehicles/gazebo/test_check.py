@@ -10,10 +10,10 @@ import pytest
 from cognitivedrone.cli import main
 from cognitivedrone.errors import GazeboError
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Stage
-from cognitivedrone.vehicles.gazebo import check as checking
-from cognitivedrone.vehicles.gazebo.check import PACKAGE, check, find_checker
-from cognitivedrone.vehicles.gazebo.export import world_of
-from cognitivedrone.vehicles.gazebo.sdf import Picture, document, prop_model, props_of
+from cognitivedrone.vehicles.gazebo.worlds import check as checking
+from cognitivedrone.vehicles.gazebo.worlds.check import PACKAGE, check, find_checker
+from cognitivedrone.vehicles.gazebo.worlds.export import world_of
+from cognitivedrone.vehicles.gazebo.worlds.sdf import Picture, document, prop_model, props_of
 from cognitivedrone.world.appearance import PLAIN, varied_appearance
 
 needs_parser = pytest.mark.skipif(

@@ -14,7 +14,7 @@ from cognitivedrone.cli import main
 from cognitivedrone.errors import CognitiveDroneError
 from cognitivedrone.labels import load_pack
 from cognitivedrone.tasks import read_tasks, suite_from_files
-from cognitivedrone.vehicles.gazebo.classic import import_collector
+from cognitivedrone.vehicles.gazebo.worlds.classic import import_collector
 
 COLORS = {"fox": (200, 90, 10), "owl": (90, 60, 40), "cheetah": (220, 180, 60), "healthy_1": (20, 160, 20)}
 COLORS |= {"unhealthy_1": (160, 20, 20), "unhealthy_2": (90, 20, 160), "A": (0, 0, 0), "B": (0, 0, 90), "C": (0, 90, 0)}

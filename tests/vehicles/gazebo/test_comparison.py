@@ -12,8 +12,14 @@ from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.sim.drawing.views import first_person_view
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import DroneState
-from cognitivedrone.vehicles.gazebo.comparison import box_of, color_overlap, compare, correlation, match_exposure
-from cognitivedrone.vehicles.gazebo.export import stages_of
+from cognitivedrone.vehicles.gazebo.selftest.comparison import (
+    box_of,
+    color_overlap,
+    compare,
+    correlation,
+    match_exposure,
+)
+from cognitivedrone.vehicles.gazebo.worlds.export import stages_of
 from cognitivedrone.world.appearance import PLAIN
 
 STATE = DroneState(np.array([-1.0, 0.0, 0.75]), np.zeros(3), quaternion_from_yaw(0.0), np.zeros(3))

@@ -11,7 +11,7 @@ from sdf_reading import models, read_world
 from cognitivedrone.cli import main
 from cognitivedrone.errors import GazeboError, LabelError, TaskError
 from cognitivedrone.tasks import load_suite
-from cognitivedrone.vehicles.gazebo.export import export, find_track, stages_of
+from cognitivedrone.vehicles.gazebo.worlds.export import export, find_track, stages_of
 from cognitivedrone.world import geometry
 
 

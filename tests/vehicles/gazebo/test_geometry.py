@@ -15,8 +15,8 @@ from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.drawing.camera import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Landmark, Obstacle, Stage
-from cognitivedrone.vehicles.gazebo.export import stages_of, world_of
-from cognitivedrone.vehicles.gazebo.sdf import Picture, document, props_of
+from cognitivedrone.vehicles.gazebo.worlds.export import stages_of, world_of
+from cognitivedrone.vehicles.gazebo.worlds.sdf import Picture, document, props_of
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import PLAIN, varied_appearance
 from cognitivedrone.world.assets import ROOM_HALF_SIZE, ROOM_HEIGHT

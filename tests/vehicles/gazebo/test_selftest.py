@@ -25,13 +25,13 @@ from cognitivedrone.cli import main
 from cognitivedrone.errors import GazeboError, LinkError
 from cognitivedrone.labels import load_pack
 from cognitivedrone.tasks import load_suite
-from cognitivedrone.vehicles.gazebo import checks, checks_in_flight, selftest
-from cognitivedrone.vehicles.gazebo.checks import Finding, Scene
-from cognitivedrone.vehicles.gazebo.checks_in_flight import FLIGHT_CHECKS, Airborne
-from cognitivedrone.vehicles.gazebo.export import stages_of
+from cognitivedrone.vehicles.gazebo import selftest
 from cognitivedrone.vehicles.gazebo.live import GazeboWorld, LiveConfig
-from cognitivedrone.vehicles.gazebo.selftest import Report
+from cognitivedrone.vehicles.gazebo.selftest import Report, checks, checks_in_flight
+from cognitivedrone.vehicles.gazebo.selftest.checks import Finding, Scene
+from cognitivedrone.vehicles.gazebo.selftest.checks_in_flight import FLIGHT_CHECKS, Airborne
 from cognitivedrone.vehicles.gazebo.server import GazeboServer, own_partition
+from cognitivedrone.vehicles.gazebo.worlds.export import stages_of
 
 STAGES = stages_of(load_suite("open-v1:track").tracks[0])
 ON_THE_GROUND = ("parser", "world", "places", "clock", "camera", "pictures", "stages")
@@ -158,7 +158,7 @@ def test_what_is_missing_is_reported_in_one_sentence(tmp_path, monkeypatch):
 
 def scene_of(machine: Studio, folder: Path, stack: ExitStack, config: LiveConfig = PATIENT) -> Scene:
     """A started Gazebo, ready for its checks."""
-    from cognitivedrone.vehicles.gazebo.export import export
+    from cognitivedrone.vehicles.gazebo.worlds.export import export
 
     exported = export("open-v1:track", track="0", out=folder / "world")
     scene = Scene(folder, exported.worlds, STAGES, load_pack())

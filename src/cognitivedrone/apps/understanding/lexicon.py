@@ -14,10 +14,10 @@ from cognitivedrone.apps.understanding.sentence import OFTEN, normalised, stem, 
 from cognitivedrone.models.words.text_encoder import TextEncoderModel
 from cognitivedrone.tasks import vocabulary
 from cognitivedrone.tasks.facts import FACTS, GROUPS, HEALTHY, KIND_OF, UNHEALTHY
+from cognitivedrone.tasks.families.symbols import logo_name
 from cognitivedrone.tasks.knowledge.claim import claims
 from cognitivedrone.tasks.knowledge.rows import read_rows
 from cognitivedrone.tasks.knowledge.tables import FOLDER
-from cognitivedrone.tasks.symbols import logo_name
 from cognitivedrone.types import COLORS, SHAPES
 
 LARGEST_NUMBER = 20

@@ -17,15 +17,15 @@ from cognitivedrone.errors import NotUnderstood
 from cognitivedrone.labels import FolderPack, load_pack
 from cognitivedrone.tasks import Suite, track_at, vocabulary
 from cognitivedrone.tasks.facts import KIND_OF
+from cognitivedrone.tasks.families.human import cast_portrait, person_lacking, person_with, touched_parts
+from cognitivedrone.tasks.families.mission_tasks import landing_task
+from cognitivedrone.tasks.families.symbols import RIVALS, distinct_animals
 from cognitivedrone.tasks.generate import Draw, Panel, Puzzle
-from cognitivedrone.tasks.human import cast_portrait, person_lacking, person_with, touched_parts
 from cognitivedrone.tasks.matching import Match, best_scene
-from cognitivedrone.tasks.mission_tasks import landing_task
 from cognitivedrone.tasks.missions import is_mission, lands, problem_of, sub_goals
 from cognitivedrone.tasks.people import TRAIN_CAST
 from cognitivedrone.tasks.scenario import suite_of
 from cognitivedrone.tasks.suites import drawn_task, suite_of_tasks, suite_of_tracks
-from cognitivedrone.tasks.symbols import RIVALS, distinct_animals
 from cognitivedrone.types import COLORS, Gate, SubGoal, Task, Track
 
 DEFAULT = "open-v1:smoke"

@@ -6,8 +6,8 @@ absent one alone teach it what "without" means.
 
 from __future__ import annotations
 
+from cognitivedrone.tasks.families.human import person_lacking, person_with, random_features
 from cognitivedrone.tasks.generate import Draw, Puzzle
-from cognitivedrone.tasks.human import person_lacking, person_with, random_features
 
 
 def lacking(draw: Draw) -> Puzzle:

@@ -9,8 +9,8 @@ import functools
 import re
 
 from cognitivedrone.tasks import knowledge, wording
+from cognitivedrone.tasks.families.symbols import RIVALS
 from cognitivedrone.tasks.generate import Draw, Puzzle, article, words
-from cognitivedrone.tasks.symbols import RIVALS
 from cognitivedrone.tasks.vocabulary import ANIMALS, FOODS, OBJECTS
 
 NAMED = "named"

@@ -15,8 +15,8 @@ import numpy as np
 from cognitivedrone.errors import TaskError, did_you_mean
 from cognitivedrone.models.words.calculator import evaluate
 from cognitivedrone.references import parse_reference
+from cognitivedrone.tasks.families.symbols import logo_name
 from cognitivedrone.tasks.generate import Scene, plural, words
-from cognitivedrone.tasks.symbols import logo_name
 from cognitivedrone.tasks.validate import check_gates
 from cognitivedrone.training.language.questions import Gates, Labels, Question, descriptions
 from cognitivedrone.training.language.wordings import TYPED, wordings_of

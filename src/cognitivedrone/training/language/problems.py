@@ -15,8 +15,8 @@ import numpy as np
 from cognitivedrone.models.eyes.finder import SLOTS
 from cognitivedrone.reasoners.scene_text import STAGES
 from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, HARD_FAMILIES
+from cognitivedrone.tasks.families.memory import memory_track
 from cognitivedrone.tasks.generate import TRAIN, Draw, Pools
-from cognitivedrone.tasks.memory import memory_track
 from cognitivedrone.tasks.suites import drawn_task
 from cognitivedrone.tasks.validate import right_gate
 from cognitivedrone.training.language.fact_questions import FACTS, FactQuestions

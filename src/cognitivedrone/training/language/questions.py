@@ -18,10 +18,10 @@ import numpy as np
 
 from cognitivedrone.errors import TaskError, did_you_mean
 from cognitivedrone.references import full_person, parse_reference
-from cognitivedrone.tasks import human, reasoning, symbols, vocabulary, wording
+from cognitivedrone.tasks import vocabulary, wording
 from cognitivedrone.tasks.directives import write_directive
 from cognitivedrone.tasks.facts import FACTS, HEALTHY, KIND_OF, UNHEALTHY
-from cognitivedrone.tasks.families import BASE_FAMILIES
+from cognitivedrone.tasks.families import BASE_FAMILIES, human, reasoning, symbols
 from cognitivedrone.tasks.generate import TRAIN, Draw, Pools, Scene, article, words
 from cognitivedrone.tasks.people import CAST, FEATURES, IDENTITY, TRAIN_CAST, Person, seen
 from cognitivedrone.tasks.validate import check_gates

@@ -33,10 +33,11 @@ import numpy as np
 from cognitivedrone.errors import TaskError
 from cognitivedrone.models.words.calculator import calculate, evaluate
 from cognitivedrone.references import parse_reference
-from cognitivedrone.tasks import symbols, wording
+from cognitivedrone.tasks import wording
 from cognitivedrone.tasks.facts import FACTS
+from cognitivedrone.tasks.families import symbols
+from cognitivedrone.tasks.families.hard import KINDS
 from cognitivedrone.tasks.generate import NO_SLOTS, TRAIN, Pools, Scene, words
-from cognitivedrone.tasks.hard import KINDS
 from cognitivedrone.tasks.people import FEATURES
 from cognitivedrone.training.language.phrasing import SPOKEN
 from cognitivedrone.training.language.sums import in_words, phrase_of

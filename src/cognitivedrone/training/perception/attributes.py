@@ -19,9 +19,9 @@ from cognitivedrone.labels.images import parse_several
 from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.references import PERSON_ATTRIBUTES, PERSON_HANDS, parse_reference, person_hand
 from cognitivedrone.tasks.facts import KIND_OF
-from cognitivedrone.tasks.hard import COUNTABLE
+from cognitivedrone.tasks.families.hard import COUNTABLE
+from cognitivedrone.tasks.families.reasoning import LARGEST_ANSWER, OPERATORS
 from cognitivedrone.tasks.people import Person, parse_person, seen
-from cognitivedrone.tasks.reasoning import LARGEST_ANSWER, OPERATORS
 from cognitivedrone.tasks.vocabulary import LETTERS, LOGOS
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
 

@@ -27,7 +27,7 @@ from cognitivedrone.models.words.scene_tokens import LENGTHS
 from cognitivedrone.models.words.text_encoder import FILE, packaged_encoder
 from cognitivedrone.policies.expert import ExpertConfig
 from cognitivedrone.training.small_vla.graph import write_onnx
-from cognitivedrone.training.small_vla.language_network import LanguageLoss, LanguageNetwork
+from cognitivedrone.training.small_vla.language.language_network import LanguageLoss, LanguageNetwork
 from cognitivedrone.training.small_vla.parts import opinions_example, write_encoder, write_reasoner_parts
 from cognitivedrone.training.small_vla.recorded import training_batches
 from cognitivedrone.training.small_vla.sampling import SampleSource, StreamRecipe

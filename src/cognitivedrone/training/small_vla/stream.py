@@ -26,7 +26,7 @@ from cognitivedrone.policies.expert import intent
 from cognitivedrone.sim.airframe import RACER
 from cognitivedrone.sim.drone_world import Start
 from cognitivedrone.tasks import train_task
-from cognitivedrone.tasks.racing import crowded_task, race_task
+from cognitivedrone.tasks.families.racing import crowded_task, race_task
 from cognitivedrone.tasks.validate import right_gate
 from cognitivedrone.training.perception.ground_truth import Poses
 from cognitivedrone.training.small_vla.sampling import Sampler, SampleSource, Setting, StreamRecipe

@@ -23,7 +23,7 @@ from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.training.perception.readings import Readings, readings_of
 from cognitivedrone.training.reasoner.pretrained import packaged_selector
 from cognitivedrone.training.reasoner.reader import ReaderLoss
-from cognitivedrone.training.small_vla.described import TextMix, scenes, text_loss
+from cognitivedrone.training.small_vla.language.described import TextMix, scenes, text_loss
 from cognitivedrone.training.teach.growth import grown_policy, with_names
 from cognitivedrone.training.teach.lesson import Lesson, read_lesson
 from cognitivedrone.training.teach.practice import LessonCrops, LessonProblems

@@ -29,11 +29,11 @@ from cognitivedrone.frames import wrap_angle, yaw_of
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.types import DroneState, FloatArray, Stage
 from cognitivedrone.vehicles.gazebo.bindings import Bindings, installed_releases, load_bindings
-from cognitivedrone.vehicles.gazebo.export import write_meshes, write_pictures
 from cognitivedrone.vehicles.gazebo.release import RELEASES
-from cognitivedrone.vehicles.gazebo.sdf import SUN, WORLD, Prop, document, prop_model, sun
 from cognitivedrone.vehicles.gazebo.sensing import GazeboCamera, Topic, TruePath, places_of
-from cognitivedrone.vehicles.gazebo.vehicle import CAMERA_TOPIC, NAME
+from cognitivedrone.vehicles.gazebo.worlds.export import write_meshes, write_pictures
+from cognitivedrone.vehicles.gazebo.worlds.sdf import SUN, WORLD, Prop, document, prop_model, sun
+from cognitivedrone.vehicles.gazebo.worlds.vehicle import CAMERA_TOPIC, NAME
 from cognitivedrone.world.appearance import PLAIN, Appearance
 
 LIGHT, MODEL = 1, 2

@@ -17,7 +17,7 @@ from cognitivedrone.vehicles.contract import ClockedDrone, Confirm, Request, Sta
 from cognitivedrone.vehicles.external import LinkReport
 from cognitivedrone.vehicles.gazebo.bindings import load_bindings
 from cognitivedrone.vehicles.gazebo.sensing import GazeboCamera
-from cognitivedrone.vehicles.gazebo.vehicle import CAMERA_TOPIC
+from cognitivedrone.vehicles.gazebo.worlds.vehicle import CAMERA_TOPIC
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.mavlink.guard.drone import GuardedDrone
 

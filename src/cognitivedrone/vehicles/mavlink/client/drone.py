@@ -19,11 +19,11 @@ from cognitivedrone.errors import LinkError
 from cognitivedrone.types import Action, Observation
 from cognitivedrone.vehicles.camera import Camera
 from cognitivedrone.vehicles.checklist import Checklist
-from cognitivedrone.vehicles.mavlink.client.connection import Connection
 from cognitivedrone.vehicles.mavlink.client.core import PAUSE_S, FlightCore, LandingMode
 from cognitivedrone.vehicles.mavlink.client.guard import Decision, Guard
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
-from cognitivedrone.vehicles.mavlink.client.tlog import PacketLog, TlogWriter
+from cognitivedrone.vehicles.mavlink.client.link.connection import Connection
+from cognitivedrone.vehicles.mavlink.client.link.tlog import PacketLog, TlogWriter
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Final
 
 from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, Autopilot
-from cognitivedrone.vehicles.mavlink.client.parameters import ACTS_IN_FLIGHT
+from cognitivedrone.vehicles.mavlink.client.checks.parameters import ACTS_IN_FLIGHT
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry
 
 RESTORE_S = 3.0

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Literal
 
 from cognitivedrone.errors import LinkError
-from cognitivedrone.vehicles.mavlink.client.connection import Connection, Vehicle
-from cognitivedrone.vehicles.mavlink.client.parameters import vehicle_key
-from cognitivedrone.vehicles.mavlink.client.preflight import check_vehicle
+from cognitivedrone.vehicles.mavlink.client.checks.parameters import vehicle_key
+from cognitivedrone.vehicles.mavlink.client.checks.preflight import check_vehicle
+from cognitivedrone.vehicles.mavlink.client.link.connection import Connection, Vehicle
 from cognitivedrone.vehicles.mavlink.telemetry import SIMULATED
 
 SET_MESSAGE_INTERVAL = 511

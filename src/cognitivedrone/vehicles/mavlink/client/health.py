@@ -10,8 +10,8 @@ import numpy as np
 
 from cognitivedrone.control.safety.health import VELOCITY_MODES, Health
 from cognitivedrone.types import FloatArray
-from cognitivedrone.vehicles.mavlink.client.heartbeats import Grounded
-from cognitivedrone.vehicles.mavlink.client.traffic import Traffic, impostor_of
+from cognitivedrone.vehicles.mavlink.client.link.heartbeats import Grounded
+from cognitivedrone.vehicles.mavlink.client.link.traffic import Traffic, impostor_of
 from cognitivedrone.vehicles.mavlink.telemetry import POSITION_IGNORED, Telemetry, stick_moved
 
 BLIND_M = 1.0

@@ -36,7 +36,7 @@ from cognitivedrone.vehicles.checklist import Checklist
 from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS
 from cognitivedrone.vehicles.mavlink.client.core import PAUSE_S, LandingMode
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig, Met
-from cognitivedrone.vehicles.mavlink.client.tlog import TlogWriter, leave
+from cognitivedrone.vehicles.mavlink.client.link.tlog import TlogWriter, leave
 from cognitivedrone.vehicles.mavlink.guard.messages import Kind, Reply, Snapshot, from_json, pack, to_json, unpack
 from cognitivedrone.vehicles.mavlink.message_socket import MessageSocket, connected_pair
 from cognitivedrone.vehicles.mavlink.telemetry import (

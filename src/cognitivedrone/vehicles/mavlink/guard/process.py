@@ -23,12 +23,12 @@ from cognitivedrone.control.safety import Guard, SafetyConfig
 from cognitivedrone.errors import CognitiveDroneError, LinkError
 from cognitivedrone.system import HANG_UP, steady_s
 from cognitivedrone.vehicles.checklist import Checklist
-from cognitivedrone.vehicles.mavlink.client.connection import WATCH_S
 from cognitivedrone.vehicles.mavlink.client.core import FlightCore
 from cognitivedrone.vehicles.mavlink.client.handover import RESTORE_S
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
-from cognitivedrone.vehicles.mavlink.client.tlog import PacketLog
-from cognitivedrone.vehicles.mavlink.client.transport import open_transport
+from cognitivedrone.vehicles.mavlink.client.link.connection import WATCH_S
+from cognitivedrone.vehicles.mavlink.client.link.tlog import PacketLog
+from cognitivedrone.vehicles.mavlink.client.link.transport import open_transport
 from cognitivedrone.vehicles.mavlink.guard.messages import (
     MESSAGE_BYTES,
     Fault,

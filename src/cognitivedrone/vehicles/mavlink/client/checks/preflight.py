@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 from cognitivedrone.errors import LinkError
 from cognitivedrone.vehicles.checklist import Checklist, Finding, State
 from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS, Autopilot
-from cognitivedrone.vehicles.mavlink.client.connection import Vehicle
-from cognitivedrone.vehicles.mavlink.client.expected import EXPECTED, Expected, Values
-from cognitivedrone.vehicles.mavlink.client.traffic import OUR_SYSTEM, Traffic, impostor_of
+from cognitivedrone.vehicles.mavlink.client.checks.expected import EXPECTED, Expected, Values
+from cognitivedrone.vehicles.mavlink.client.link.connection import Vehicle
+from cognitivedrone.vehicles.mavlink.client.link.traffic import OUR_SYSTEM, Traffic, impostor_of
 from cognitivedrone.vehicles.mavlink.renames import Own
 from cognitivedrone.vehicles.mavlink.telemetry import COPTER_TYPES, Telemetry
 

@@ -17,7 +17,7 @@ from xml.etree import ElementTree as ET
 from cognitivedrone.sim.airframe import GRAVITY, IRIS, ROTORS, Airframe
 from cognitivedrone.sim.drawing.views import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.types import IMAGE_SIZE
-from cognitivedrone.vehicles.gazebo.sdf import add, material, numbers, paint
+from cognitivedrone.vehicles.gazebo.worlds.sdf import add, material, numbers, paint
 from cognitivedrone.world.appearance import PLAIN, RGB, Appearance
 
 NAME: Final = "iris"

@@ -17,8 +17,8 @@ from cognitivedrone.errors import TaskError
 from cognitivedrone.tasks import vocabulary
 from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.families import generator
+from cognitivedrone.tasks.families.hard import PLAIN_THINGS
 from cognitivedrone.tasks.generate import TRAIN, Draw, Panel, Puzzle, article, words
-from cognitivedrone.tasks.hard import PLAIN_THINGS
 from cognitivedrone.tasks.missions import pad_directive, problem_of, sub_goals
 from cognitivedrone.tasks.suites import finish
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Color, Gate, SubGoal, Task, Track

@@ -6,11 +6,11 @@ import math
 from time import monotonic
 
 from cognitivedrone.vehicles.checklist import Checklist
-from cognitivedrone.vehicles.mavlink.client.connection import Connection
-from cognitivedrone.vehicles.mavlink.client.expected import EXPECTED
+from cognitivedrone.vehicles.mavlink.client.checks.expected import EXPECTED
+from cognitivedrone.vehicles.mavlink.client.checks.parameters import ParameterChanges
+from cognitivedrone.vehicles.mavlink.client.checks.preflight import FRESH_S, Facts, build_checklist, corrections
 from cognitivedrone.vehicles.mavlink.client.handshake import HOME_POSITION, MavlinkConfig, Met
-from cognitivedrone.vehicles.mavlink.client.parameters import ParameterChanges
-from cognitivedrone.vehicles.mavlink.client.preflight import FRESH_S, Facts, build_checklist, corrections
+from cognitivedrone.vehicles.mavlink.client.link.connection import Connection
 from cognitivedrone.vehicles.mavlink.renames import Own, read_by_either_name
 
 

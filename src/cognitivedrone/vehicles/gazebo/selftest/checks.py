@@ -25,12 +25,12 @@ from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.sim.drawing.views import first_person_view
 from cognitivedrone.sim.drone_world import Scenery
 from cognitivedrone.types import DroneState, FloatArray, Image, Stage
-from cognitivedrone.vehicles.gazebo.check import check, find_checker
-from cognitivedrone.vehicles.gazebo.comparison import Likeness, compare
 from cognitivedrone.vehicles.gazebo.live import PLACE_M, PLACE_RAD, GazeboWorld
+from cognitivedrone.vehicles.gazebo.selftest.comparison import Likeness, compare
 from cognitivedrone.vehicles.gazebo.sensing import Topic, picture, stamp_of
 from cognitivedrone.vehicles.gazebo.server import NO_PLUGIN, GazeboServer
-from cognitivedrone.vehicles.gazebo.vehicle import CAMERA_HZ, NAME, camera_stand
+from cognitivedrone.vehicles.gazebo.worlds.check import check, find_checker
+from cognitivedrone.vehicles.gazebo.worlds.vehicle import CAMERA_HZ, NAME, camera_stand
 from cognitivedrone.world.appearance import PLAIN
 
 POSE_HZ: Final = 60

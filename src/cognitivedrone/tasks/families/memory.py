@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from cognitivedrone.tasks.facts import KIND_OF
+from cognitivedrone.tasks.families.hard import PLAIN_THINGS
 from cognitivedrone.tasks.generate import Draw, Puzzle, words
-from cognitivedrone.tasks.hard import PLAIN_THINGS
 
 _NAMED = 2
 """Number of stages at the beginning of a track that name their thing."""

@@ -30,10 +30,10 @@ from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.labels import load_pack
 from cognitivedrone.tasks import Suite, open_suite
 from cognitivedrone.types import Image, Stage, Task, Track
-from cognitivedrone.vehicles.gazebo.meshes import MATERIALS, MATERIALS_FILE, obj_text, world_meshes
 from cognitivedrone.vehicles.gazebo.release import Release, release_named
-from cognitivedrone.vehicles.gazebo.sdf import Picture, Prop, document, pattern_file, props_of, world
-from cognitivedrone.vehicles.gazebo.vehicle import iris, parameters
+from cognitivedrone.vehicles.gazebo.worlds.meshes import MATERIALS, MATERIALS_FILE, obj_text, world_meshes
+from cognitivedrone.vehicles.gazebo.worlds.sdf import Picture, Prop, document, pattern_file, props_of, world
+from cognitivedrone.vehicles.gazebo.worlds.vehicle import iris, parameters
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import PATTERNS, PLAIN, Appearance, pattern_texture
 
@@ -171,7 +171,7 @@ def _mesh_texts() -> dict[str, str]:
 
 
 def _readme(track: Track, names: Sequence[str], release: Release) -> str:
-    text = resources.files("cognitivedrone.vehicles.gazebo").joinpath("export_readme.md").read_text(encoding="utf-8")
+    text = resources.files(__package__).joinpath("export_readme.md").read_text(encoding="utf-8")
     rows = [f"| `{name}` | {task.id} | {_cell(task)} |" for name, task in zip(names, track, strict=True)]
     return Template(text).substitute(
         release=release.name.capitalize(),

@@ -17,10 +17,10 @@ from cognitivedrone.errors import LinkError
 from cognitivedrone.frames import wrap_angle, yaw_of
 from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, Start
 from cognitivedrone.types import CONTROL_HZ, DroneState, FloatArray
-from cognitivedrone.vehicles.gazebo.checks import Finding, Scene
 from cognitivedrone.vehicles.gazebo.flight import GazeboFlight
 from cognitivedrone.vehicles.gazebo.pilot import take_off
-from cognitivedrone.vehicles.gazebo.vehicle import ground_clearance
+from cognitivedrone.vehicles.gazebo.selftest.checks import Finding, Scene
+from cognitivedrone.vehicles.gazebo.worlds.vehicle import ground_clearance
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 
 T = TypeVar("T")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from cognitivedrone.tasks import wording
 from cognitivedrone.tasks.facts import KIND_OF
+from cognitivedrone.tasks.families.human import by_features, person_lacking, person_with, random_features
+from cognitivedrone.tasks.families.reasoning import OPERATORS, binary, nested, other_numbers
 from cognitivedrone.tasks.generate import Draw, Panel, Puzzle, plural, words
-from cognitivedrone.tasks.human import by_features, person_lacking, person_with, random_features
-from cognitivedrone.tasks.reasoning import OPERATORS, binary, nested, other_numbers
 from cognitivedrone.tasks.vocabulary import LETTERS
 
 PLAIN_THINGS: tuple[str, ...] = (

@@ -13,11 +13,11 @@ from cognitivedrone.errors import TaskError, did_you_mean
 from cognitivedrone.tasks import vocabulary, wording
 from cognitivedrone.tasks.facts import FACTS, HEALTHY, KIND_OF, UNHEALTHY
 from cognitivedrone.tasks.families import BASE_FAMILIES
+from cognitivedrone.tasks.families.human import absent_features, cast_portrait
+from cognitivedrone.tasks.families.reasoning import CONSONANTS, EVEN, LARGEST_ANSWER, ODD, VOWELS, binary, nested
+from cognitivedrone.tasks.families.symbols import distinct_animals, logo_name
 from cognitivedrone.tasks.generate import Draw, Panel, Puzzle, article, words
-from cognitivedrone.tasks.human import absent_features, cast_portrait
 from cognitivedrone.tasks.people import TRAIN_CAST
-from cognitivedrone.tasks.reasoning import CONSONANTS, EVEN, LARGEST_ANSWER, ODD, VOWELS, binary, nested
-from cognitivedrone.tasks.symbols import distinct_animals, logo_name
 from cognitivedrone.types import Gate
 
 LOOKS = "looks"

@@ -24,7 +24,9 @@ from cognitivedrone.files import replace_file
 from cognitivedrone.labels import load_pack
 from cognitivedrone.tasks import open_suite
 from cognitivedrone.vehicles.gazebo.bindings import Bindings, load_bindings, simulator_versions
-from cognitivedrone.vehicles.gazebo.checks import (
+from cognitivedrone.vehicles.gazebo.live import GazeboWorld
+from cognitivedrone.vehicles.gazebo.release import RELEASES
+from cognitivedrone.vehicles.gazebo.selftest.checks import (
     Finding,
     Scene,
     camera_rate,
@@ -36,11 +38,9 @@ from cognitivedrone.vehicles.gazebo.checks import (
     places,
     stages,
 )
-from cognitivedrone.vehicles.gazebo.checks_in_flight import FLIGHT_CHECKS, Airborne, Autopilot
-from cognitivedrone.vehicles.gazebo.export import PARAMETERS_FILE, find_track, stages_of, write
-from cognitivedrone.vehicles.gazebo.live import GazeboWorld
-from cognitivedrone.vehicles.gazebo.release import RELEASES
+from cognitivedrone.vehicles.gazebo.selftest.checks_in_flight import FLIGHT_CHECKS, Airborne, Autopilot
 from cognitivedrone.vehicles.gazebo.server import NO_PLUGIN, GazeboServer, find_gazebo, own_partition
+from cognitivedrone.vehicles.gazebo.worlds.export import PARAMETERS_FILE, find_track, stages_of, write
 from cognitivedrone.vehicles.sitl.arducopter import BINARY_VARIABLE, ArduCopter, find_binary, port_is_free
 
 Outcome = Literal["passed", "failed", "skipped"]

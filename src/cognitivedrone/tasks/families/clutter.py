@@ -14,8 +14,8 @@ from cognitivedrone.layout import EYE, PANEL_HEIGHT, PANEL_RISE, STARTS, draw_la
 from cognitivedrone.layout.obstacles import Solids, solids_of
 from cognitivedrone.layout.path_planning import JOIN_M, gate_places, ways_to
 from cognitivedrone.tasks.facts import KIND_OF
+from cognitivedrone.tasks.families.hard import PLAIN_THINGS
 from cognitivedrone.tasks.generate import TRAIN, Draw
-from cognitivedrone.tasks.hard import PLAIN_THINGS
 from cognitivedrone.tasks.validate import occupied, right_gate
 from cognitivedrone.types import FloatArray, Landmark, Layout, Obstacle, ObstacleKind, Task, Vector, Vectors
 

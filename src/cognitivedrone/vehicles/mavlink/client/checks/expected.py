@@ -14,7 +14,7 @@ from typing import Final
 from cognitivedrone.vehicles.checklist import State
 from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, PX4
 from cognitivedrone.vehicles.mavlink.client.health import BLIND_M
-from cognitivedrone.vehicles.mavlink.client.traffic import OUR_SYSTEM
+from cognitivedrone.vehicles.mavlink.client.link.traffic import OUR_SYSTEM
 
 CONTINUE_GUIDED, CONTINUE_PILOT = 4, 16
 """Bits of FS_OPTIONS: GUIDED goes on without the remote control; modes that a pilot flies go on without us."""

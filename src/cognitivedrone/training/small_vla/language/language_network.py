@@ -12,7 +12,7 @@ from cognitivedrone.models.eyes.panel_reader import Reader, ReaderConfig
 from cognitivedrone.models.words.gate_selector import SelectorConfig
 from cognitivedrone.models.words.language import Language, LanguageConfig, TextEncoder
 from cognitivedrone.models.words.scene_tokens import INPUTS
-from cognitivedrone.training.small_vla.described import text_loss
+from cognitivedrone.training.small_vla.language.described import text_loss
 
 _FROZEN_LAYERS = 2
 

@@ -14,7 +14,7 @@ from xml.etree import ElementTree as ET
 from cognitivedrone.errors import GazeboError
 from cognitivedrone.sim.airframe import GRAVITY
 from cognitivedrone.types import COLORS, Stage
-from cognitivedrone.vehicles.gazebo.meshes import FLOOR, PANEL, PILLAR, ROOM, gate_mesh
+from cognitivedrone.vehicles.gazebo.worlds.meshes import FLOOR, PANEL, PILLAR, ROOM, gate_mesh
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import RGB, Appearance, Pattern
 from cognitivedrone.world.scene import OBSTACLE_COLORS, OBSTACLE_GLOW

@@ -33,10 +33,10 @@ _TABLE: dict[str, tuple[Category, str]] = {
     "absent": ("absent", "absent:absent"),
     "landing": ("symbol_understanding", ""),
 }
-"""Category and generator, "module:function" of this package, of every family. Tasks of `memory` need a track,
-`tasks.memory` generates them; `tasks.mission_tasks` those of `landing`."""
+"""Category and generator, "module:function" of this package, of every family. Tasks of `memory` need a track, which
+`memory.py` generates; `mission_tasks.py` those of `landing`."""
 
-TASKS: dict[str, str] = {name: f"cognitivedrone.tasks.{made}" for name, (_, made) in _TABLE.items() if made}
+TASKS: dict[str, str] = {name: f"{__name__}.{made}" for name, (_, made) in _TABLE.items() if made}
 """Generators by family, `Draw -> Puzzle`."""
 FAMILIES: dict[str, Category] = {name: category for name, (category, _) in _TABLE.items()}
 """Category of every family."""

@@ -1,0 +1,1 @@
+"""What is read, corrected and judged before a vehicle is armed."""

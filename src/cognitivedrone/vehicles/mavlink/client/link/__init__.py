@@ -1,0 +1,1 @@
+"""The link to a vehicle: bytes, messages, whose they are, and their log."""
