@@ -60,7 +60,7 @@ ALLOWED: dict[str, frozenset[str]] = {
         "rollout/process_pool.py": {"crash_file.open", "worker.crash_file.read_text"},
         "training/processes.py": {"written.write_text", "file.read_text"},
         "vehicles/gazebo/worlds/check.py": {"path.read_text"},
-        "vehicles/gazebo/selftest.py": {"(folder.parent / 'world' / PARAMETERS_FILE).read_text"},
+        "vehicles/gazebo/selftest/__init__.py": {"(folder.parent / 'world' / PARAMETERS_FILE).read_text"},
         # In memory.
         "training/perception/photographic.py": {"PillowImage.open"},
         "training/trainer/run_log.py": {"figure.savefig"},

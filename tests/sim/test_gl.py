@@ -180,7 +180,7 @@ def test_a_broken_choice_of_the_users_breaks_nothing_until_something_is_drawn(na
         "import sys\n"
         "sys.modules['OpenGL.osmesa'] = None  # also where it is installed\n"
         "from cognitivedrone.cli import main\n"
-        "from cognitivedrone.sim import gl\n"
+        "from cognitivedrone.sim.drawing import gl\n"
         "def absent(name, without=()): raise gl.RenderError(name + ' is not there')\n"
         "gl._probe = absent\n"
         "main(['list'])\n"

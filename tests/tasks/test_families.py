@@ -17,14 +17,13 @@ from cognitivedrone.tasks import (
     HARD_FAMILIES,
     TASKS,
     facts,
-    human,
     people,
     train_task,
     validate_task,
     vocabulary,
     wording,
 )
-from cognitivedrone.tasks.families import generator
+from cognitivedrone.tasks.families import generator, human
 from cognitivedrone.tasks.families.memory import memory_track
 from cognitivedrone.tasks.generate import HELD_OUT, TRAIN, Draw, held_out_pair, plural
 from cognitivedrone.types import CATEGORIES, Task
