@@ -210,6 +210,17 @@ TABLES: Final[dict[str, Description]] = {
             "remarks": "{remarks}",
         },
     ),
+    "training-card": lines_of(
+        ("recipe", "samples/s", "waits for data", "steps of the recipe", "time, min"),
+        *(
+            Line(
+                "training_card",
+                {"recipe": recipe},
+                (f"`{recipe}`", "{samples_per_s:,.0f}", "{waiting:.0%}", "{steps:,}", "{minutes:.1f}"),
+            )
+            for recipe in ("flight", "small", "reader", "selector", "language", "teach")
+        ),
+    ),
     "ablations": rows_of(
         "ablation",
         {
@@ -241,6 +252,16 @@ TABLES: Final[dict[str, Description]] = {
     ),
     "environment-card": rows_of(
         "environment_card", {"what": "{what}", "control steps/s": "{steps_per_s:,.0f}"}, having="steps_per_s"
+    ),
+    "threads-card": lines_of(
+        ("worlds", "threads", "control step of flight"),
+        *(
+            Line(
+                "dynamics_card", {"worlds": worlds, "threads": threads}, (f"{worlds}", f"{threads}", "{step_ms:.2f} ms")
+            )
+            for worlds in (16, 64)
+            for threads in (1, 4, 16)
+        ),
     ),
     "rendering-contexts": rows_of(
         "rendering_contexts",
