@@ -33,13 +33,15 @@ from cognitivedrone.training.small_vla.language import LanguageRecipe
 from cognitivedrone.training.trainer.checkpoint import CHECKPOINT
 from cognitivedrone.training.trainer.run_log import METRICS, read_rows
 from cognitivedrone.training.trainer.trainer import TrainConfig, train
-from cognitivedrone.training.trainer.training_task import Given, Recipe, Row, TrainingTask
+from cognitivedrone.training.trainer.training_task import Given, Row, TrainingTask
 
 WHAT = "Training of the small models: samples a second, and the share of the time in which the device waits for data"
 RECIPES = ("flight", "small", "reader", "selector", "language", "teach")
 """In the order of worth: what needs pictures first."""
 ROUND_STEPS = 16
 ROUNDS = 6
+FEW = 32
+"""Of whatever is validated."""
 CONCEPTS, PICTURES = 5, 4
 
 
@@ -59,15 +61,16 @@ def lesson(folder: Path) -> Path:
 
 def task_of(name: str, folder: Path) -> TrainingTask:
     """The training task of a recipe, with little to validate."""
-    recipe = find_recipe(name)
-    few = {each.name: 32 for each in fields(recipe) if each.name.startswith("validation_")}
+    recipe: Any = find_recipe(name)
+    few = {each.name: FEW for each in fields(recipe) if each.name.startswith("validation_")}
     if isinstance(recipe, SelectorRecipe):
         few["pretrained"] = False  # the weights it begins with change no time, and may not be installed
     given = Given(labels=lesson(folder / "labels") if recipe.needs_labels else None)
     if isinstance(recipe, LanguageRecipe):
         selectors = [*folder.glob(f"*selector/{CHECKPOINT}")]
         given = Given(start=selectors[0] if selectors else None)
-    return replace(recipe, fly_every=0, **few).training(given)
+    task: TrainingTask = replace(recipe, fly_every=0, **few).training(given)
+    return task
 
 
 def paced(task: TrainingTask, out: Path, rounds: int, seconds: float) -> list[Row]:
@@ -89,14 +92,14 @@ def paced(task: TrainingTask, out: Path, rounds: int, seconds: float) -> list[Ro
     return read_rows(out / METRICS)
 
 
-def figures(recipe: Recipe, rows: Sequence[Row]) -> dict[str, Any]:
+def figures(recipe: Any, rows: Sequence[Row]) -> dict[str, Any]:
     """The pace of a training from the rows of its rounds, the first left out."""
     counted = list(zip([0, *(row["step"] for row in rows)], rows, strict=False))
     counted = counted[1:] or counted
     times = [(row["step"] - before) / row["steps_per_s"] for before, row in counted]
     rate = (rows[-1]["step"] - counted[0][0]) / sum(times)
     waiting = sum(row["waiting"] * took for (_, row), took in zip(counted, times, strict=True)) / sum(times)
-    batch: int = getattr(recipe, "stream", recipe).batch  # type: ignore[attr-defined]
+    batch: int = getattr(recipe, "stream", recipe).batch
     return {
         "batch": batch,
         "steps_per_s": rate,
@@ -122,7 +125,7 @@ def measured(
         row: dict[str, Any] = {"recipe": name, "device": where}
         try:
             task = task_of(name, folder)
-            row |= figures(task.recipe, pace(task, folder / name, rounds, seconds))  # type: ignore[arg-type]
+            row |= figures(task.recipe, pace(task, folder / name, rounds, seconds))
         except (CognitiveDroneError, RuntimeError) as error:  # the others must still be measured
             row["remarks"] = f"not measured: {' '.join(str(error).split())[:160]}"
             print(f"  {row['remarks']}", flush=True)

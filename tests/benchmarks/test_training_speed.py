@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -23,8 +24,9 @@ from cognitivedrone.training.small_vla.language import DEBUG_LANGUAGE
 from cognitivedrone.training.teach.training import TEACH
 from cognitivedrone.training.trainer import run_log, trainer
 
+FLIGHT: Any = ALL_RECIPES["flight"]
 SMALL = {
-    "flight": replace(ALL_RECIPES["flight"], stream=replace(RECIPES["debug"].stream, learner=0.5)),
+    "flight": replace(FLIGHT, stream=replace(RECIPES["debug"].stream, learner=0.5)),
     "reader": TINY_READER,
     "selector": SMALL_SELECTOR,
     "language": replace(DEBUG_LANGUAGE, batch=4),
@@ -42,6 +44,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run_log, "draw_curves", lambda rows, path: None)
     monkeypatch.setattr(training_speed, "find_recipe", SMALL.__getitem__)
     monkeypatch.setattr(training_speed, "ROUND_STEPS", 1)
+    monkeypatch.setattr(training_speed, "FEW", 4)
 
 
 @pytest.mark.usefixtures("small")

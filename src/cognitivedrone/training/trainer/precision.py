@@ -16,7 +16,7 @@ _PROCESSOR: Final = Path("/proc/cpuinfo")
 def trains_in_bf16() -> bool:
     """Whether this machine does. What has no bfloat16 only emulates it, several times slower than float32."""
     if torch.cuda.is_available():
-        return torch.cuda.is_bf16_supported(including_emulation=False)
+        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
     return multiplies_bf16(_PROCESSOR)
 
 
