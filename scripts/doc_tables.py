@@ -253,6 +253,21 @@ TABLES: Final[dict[str, Description]] = {
     "environment-card": rows_of(
         "environment_card", {"what": "{what}", "control steps/s": "{steps_per_s:,.0f}"}, having="steps_per_s"
     ),
+    "parts-card": lines_of(
+        ("worlds", "flying", "drawing"),
+        *(
+            Line(
+                "environment_card",
+                {"what": f"parts of a vector of {worlds}"},
+                (f"{worlds}", "{flying_ms:.1f} ms", "{drawing_ms:.1f} ms"),
+            )
+            for worlds in (16, 64)
+        ),
+    ),
+    "pictures-card": lines_of(
+        ("drawn by", "largest difference of a pixel, of 255", "pixels that differ", "flights that end otherwise"),
+        Line("rendering_difference", {}, ("{renderers}", "{largest}", "{differ:.2%}", "{otherwise} of {flights}")),
+    ),
     "threads-card": lines_of(
         ("worlds", "threads", "control step of flight"),
         *(
@@ -266,6 +281,14 @@ TABLES: Final[dict[str, Description]] = {
     "rendering-contexts": rows_of(
         "rendering_contexts",
         {"OpenGL contexts": "{contexts}", "frames/s": "{frames_per_s:,.0f}", "drawn by": "{renderer}"},
+        having="contexts",
+    ),
+    "processes-card": lines_of(
+        ("processes", "frames/s together", "of them drew nothing"),
+        *(
+            Line("rendering_contexts", {"processes": count}, (f"{count}", "{frames_per_s:,.0f}", "{lost}"))
+            for count in (1, 2, 4, 8)
+        ),
     ),
     # docs/suites.md
     "evaluations": rows_of(
