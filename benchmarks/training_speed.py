@@ -27,6 +27,7 @@ from PIL import Image
 
 from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.errors import CognitiveDroneError
+from cognitivedrone.training.perception import readings
 from cognitivedrone.training.reasoner.selector import SelectorRecipe
 from cognitivedrone.training.recipes import find_recipe
 from cognitivedrone.training.small_vla.language import LanguageRecipe
@@ -43,6 +44,10 @@ ROUNDS = 6
 FEW = 32
 """Of whatever is validated."""
 CONCEPTS, PICTURES = 5, 4
+
+
+if __name__ in ("__main__", "__mp_main__"):  # the process that makes the data runs these lines, too
+    readings.CROPS = 1_200  # of 12,000, which take half a minute in each process: their number changes no rate
 
 
 class Enough(Exception):

@@ -7,10 +7,13 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from cognitivedrone.errors import CognitiveDroneError
 from cognitivedrone.system import NVIDIAS_DRIVER
+
+EMULATED: Final = "which is emulated, several times slower: take one of compute capability 8.0 (Ampere, 2020) or newer"
+"""Of a card that multiplies no bfloat16, where nothing else is to be had."""
 
 
 def why_none(torch: Any, driver: Path = NVIDIAS_DRIVER) -> str:

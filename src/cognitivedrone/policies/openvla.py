@@ -12,7 +12,7 @@ import numpy as np
 
 from cognitivedrone.errors import ModelError, NonFiniteAction, PluginError, PolicyError, import_extra
 from cognitivedrone.interfaces import Policy, attempt
-from cognitivedrone.models.card import in_memory, shortage, warn, why_none
+from cognitivedrone.models.card import EMULATED, in_memory, shortage, warn, why_none
 from cognitivedrone.models.compiling import compiled_or_plain
 from cognitivedrone.models.openvla import checkpoint as checkpoints
 from cognitivedrone.models.openvla.checkpoint import Checkpoint, DecoderName, Quantisation
@@ -29,7 +29,6 @@ SMALL = 2_000_000_000
 """Largest network, in bytes, that runs on the CPU without an explicit device=cpu."""
 _USUAL_LENGTHS = (32, 64)
 """Prompt lengths, in tokens, for which the GPU graphs are captured before take-off."""
-_EMULATED = "which is emulated, several times slower: take one of compute capability 8.0 (Ampere, 2020) or newer"
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +175,7 @@ def _decoder(options: Options, checkpoint: Checkpoint) -> Decoder:
             f" device=cpu, which takes seconds per action{why_none(torch)}"
         )
     if device == "cuda":
-        warn(torch, "policy openvla", _EMULATED)
+        warn(torch, "policy openvla", EMULATED)
     if options.quant != "none":
         whole = checkpoints.needed_bytes(checkpoint.config, "none", stored)
         checkpoints.check_reading(whole, checkpoints.free_memory(), options.quant)

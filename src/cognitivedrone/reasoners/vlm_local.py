@@ -77,7 +77,7 @@ class LocalVlm(Reasoner):
         self._template = load_prompt(prompt)
         self._torch = import_extra("torch", "vlm-local")
         self._transformers = import_extra("transformers", "vlm-local")
-        if device != "cpu":
+        if device is None or (device != "cpu" and self._torch.cuda.is_available()):
             warn(self._torch, "reasoner vlm-local", "" if dtype == "float32" else _EMULATED)
         device = device or ("cuda" if self._torch.cuda.is_available() else "cpu")
         dtype = dtype or ("float32" if device == "cpu" else "bfloat16")

@@ -124,7 +124,7 @@ def fine_tune(config: FineTuning, report: Callable[[str], None] = print) -> Path
     found = _found(config, resume=config.resume)
     accelerator = _accelerator(config)
     if accelerator.is_main_process:
-        card.warn(torch, "fine-tuning", "which is emulated, several times slower: take one of compute capability 8.0")
+        card.warn(torch, "fine-tuning", card.EMULATED)
     if recipe.batch % accelerator.num_processes:
         raise TrainingError(f"a batch of {recipe.batch} cannot be shared by {accelerator.num_processes} processes")
     step = 0 if found is None else step_of(found[1], config.recipe.steps)
