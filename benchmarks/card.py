@@ -37,16 +37,38 @@ class Part:
 
 
 PARTS = (
-    Part("rendering by contexts", 45, ("rendering_contexts.py", "--out", "{results}/rendering_contexts.json")),
-    Part("environments", 75, ("environment.py", "--many", "--out", "{results}/environment_card.json")),
-    Part("control step, bfloat16", 100, ("openvla_gpu.py", "--quant", "none", "--steps", "100", "--add")),
+    Part(
+        "rendering by contexts and processes",
+        55,
+        (
+            "rendering_contexts.py",
+            *("--processes", "1", "2", "4", "8", "--out", "{results}/rendering_contexts.json"),
+        ),
+    ),
+    Part("the card's pictures", 30, ("rendering_difference.py", "--out", "{results}/rendering_difference.json")),
+    Part("environments", 40, ("environment.py", "--many", "--out", "{results}/environment_card.json")),
+    Part(
+        "flight by threads",
+        20,
+        ("dynamics.py", "--threads", "1", "2", "4", "8", "16", "--out", "{results}/dynamics_card.json"),
+    ),
+    Part("control step, bfloat16", 80, ("openvla_gpu.py", "--quant", "none", "--steps", "100", "--add")),
     Part(
         "policy and reasoner",
-        110,
+        70,
         ("openvla_gpu.py", "--quant", "none", "--steps", "0", "--together", "--seconds", "12", "--add"),
     ),
-    Part("fine-tuning", 90, ("openvla_gpu.py", "--quant", "none", "--steps", "0", "--lora", "--add")),
-    Part("control step, int8", 80, ("openvla_gpu.py", "--quant", "int8", "--steps", "100", "--add")),
+    Part(
+        "fine-tuning",
+        75,
+        ("openvla_gpu.py", "--quant", "none", "--steps", "0", "--lora", "--batches", "8", "16", "32", "--add"),
+    ),
+    Part(
+        "training of the small models",
+        70,
+        ("training_speed.py", "--seconds", "6", "--out", "{results}/training_card.json"),
+    ),
+    Part("control step, int8", 70, ("openvla_gpu.py", "--quant", "int8", "--steps", "100", "--add")),
 )
 OPENVLA_OUT = ("--out", "{results}/openvla_gpu.json")
 

@@ -148,6 +148,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--steps", type=int, default=200, help="control steps of each decoder; 0 leaves them out")
     parser.add_argument("--quant", nargs="+", choices=get_args(Quantisation), help="all on a GPU, none without")
     parser.add_argument("--lora", action="store_true", help="measure fine-tuning as well")
+    parser.add_argument(
+        "--batches", type=int, nargs="+", help="sizes to try in fine-tuning; all powers of two by default"
+    )
     parser.add_argument("--together", action="store_true", help="measure policy and reasoner on one card as well")
     parser.add_argument("--seconds", type=float, default=60.0, help="of flight of policy and reasoner together")
     parser.add_argument("--add", action="store_true", help="keep the other rows that are in the file of figures")
@@ -166,7 +169,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         with report.measuring("LoRA"):
             from openvla_gpu_lora import BATCHES, PAPER, training
 
-            training(report, *((BATCHES, PAPER.batch) if machine.large else ((1,), 2)))
+            batches, whole = (BATCHES, PAPER.batch) if machine.large else ((1,), 2)
+            training(report, options.batches or batches, whole)
 
 
 if __name__ == "__main__":

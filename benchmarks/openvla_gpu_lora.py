@@ -16,7 +16,7 @@ from torch.nn import functional as F  # noqa: N812
 from cognitivedrone.models.openvla.config import ACTION_SIZE, IMAGE, PADDING, PATCHES, WORDS
 from cognitivedrone.models.openvla.network import IGNORED, OpenVlaNetwork
 from cognitivedrone.models.openvla.prepare import BEGIN, END, SPACE
-from cognitivedrone.training.openvla.adapters import add_adapters
+from cognitivedrone.training.openvla.adapters import add_adapters, cast_inputs
 from cognitivedrone.training.openvla.recipes import PAPER
 
 BATCHES = (1, 2, 4, 8, 16, 32)
@@ -88,9 +88,11 @@ class Way:
     checkpointing: bool = False
     fused: bool = True
     """Whether AdamW updates all weights in one kernel."""
+    casting: bool = False
+    """Whether adapters copy their inputs to float32."""
 
 
-PUBLISHED = Way("published loop", published_loss, attention="eager", fused=False)
+PUBLISHED = Way("published loop", published_loss, attention="eager", fused=False, casting=True)
 WAYS = (PUBLISHED, Way("ours", our_loss), Way("ours, recomputing layers", our_loss, checkpointing=True))
 
 
@@ -100,6 +102,7 @@ def samples_per_s(
     """Median rate of whole steps of the optimiser, each of `parts` micro-batches of `micro` samples."""
     network.language_model.set_attn_implementation(way.attention)
     network.enable_checkpointing(way.checkpointing)
+    cast_inputs(network, enabled=way.casting)
     network.train()
     optimizer = torch.optim.AdamW(
         trained, PAPER.learning_rate, weight_decay=PAPER.weight_decay, fused=way.fused or None

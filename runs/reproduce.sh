@@ -15,7 +15,7 @@
 #
 # Before the script: ARDUCOPTER=path/to/arducopter measures what needs that program, LESSON=FOLDER a lesson with labels/
 # and tasks/, and one with the pictures in few/, PHOTOGRAPHS=FOLDER flights past pictures named after known things, GPU=1
-# OpenVLA-7B on a graphics card, HARNESSES=1 the flights under vla-eval and LeRobot, whichever is installed
+# what only a graphics card can show, HARNESSES=1 the flights under vla-eval and LeRobot, whichever is installed
 # (docs/gymnasium.md), SYSTEMS="FOLDER ..." the README's commands in folders of whole systems (benchmarks/systems.py).
 # Measured by hand, by the commands that their files name: gazebo_scores, sitl_scores, sitl_core_46, sitl_core_47,
 # systems_earlier. evaluations is a history.
@@ -216,6 +216,11 @@ if [[ ${PHOTOGRAPHS:-} ]]; then
 fi
 if [[ ${GPU:-} ]]; then
   measure openvla_gpu openvla_gpu --lora --together
+  measure training_card training_speed
+  measure rendering_contexts rendering_contexts --processes 1 2 4 8
+  measure rendering_difference rendering_difference
+  measure environment_card environment --many
+  measure dynamics_card dynamics --threads 1 2 4 8 16
 fi
 
 "$python" "$here/scripts/keep_results.py" "$out" "$results"

@@ -111,3 +111,10 @@ def test_where_it_is_not_the_ratio_is_to_a_dated_figure(short, monkeypatch, caps
     expected = [worlds * steps / environment.PEER_STEPS_S for worlds in (1, 4, 16, 16)]
     assert ratios(printed) == pytest.approx(expected, abs=0.06)
     assert re.search(rf"44 control steps/s +not installed here; measured {environment.PEER_MEASURED}", printed)
+
+
+def test_flying_and_drawing_are_told_apart(short):
+    made = environment.parts(2)
+    assert made["what"] == "parts of a vector of 2"
+    # By this clock every call takes the same time.
+    assert made["flying_ms"] == made["drawing_ms"] == 1e3 / environment.STEPS

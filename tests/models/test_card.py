@@ -8,7 +8,12 @@ from typing import Any
 
 import pytest
 
-from cognitivedrone.models.card import remarks, why_none
+from cognitivedrone.errors import TrainingError
+from cognitivedrone.models.card import in_memory, remarks, warn, why_none
+
+SLOW = "so it takes longer"
+FULL = "CUDA out of memory. Tried to allocate 2.00 GiB.\nGPU 0 has a total capacity"
+TAKEN = "CUDA error: CUDA-capable device(s) is/are busy or unavailable\nCUDA kernel errors might be"
 
 
 @pytest.fixture
@@ -17,7 +22,14 @@ def driver(tmp_path: Path) -> Path:
     return tmp_path / "version"
 
 
-def pretended(cuda: str | None = "13.0", error: str = "", names: tuple[str, ...] = ("A",), bf16: bool = True) -> Any:
+def pretended(
+    cuda: str | None = "13.0",
+    error: str = "",
+    names: tuple[str, ...] = ("A",),
+    *,
+    bf16: bool = True,
+    usable: bool = True,
+) -> Any:
     def init() -> None:
         if error:
             raise RuntimeError(error)
@@ -26,6 +38,7 @@ def pretended(cuda: str | None = "13.0", error: str = "", names: tuple[str, ...]
         version=SimpleNamespace(cuda=cuda),
         cuda=SimpleNamespace(
             init=init,
+            is_available=lambda: usable,
             is_bf16_supported=lambda including_emulation: bf16,
             get_device_name=lambda index=0: names[index],
             device_count=lambda: len(names),
@@ -64,9 +77,58 @@ def test_a_card_that_cannot_be_used(
 
 
 def test_cards_that_are_slower_than_they_need_to_be() -> None:
-    assert remarks(pretended()) == []
-    assert remarks(pretended(names=("A", "A"))) == []
-    (old,) = remarks(pretended(names=("T4",), bf16=False))
-    assert old.startswith("T4 multiplies no bfloat16")
-    (mixed,) = remarks(pretended(names=("B", "A", "B")))
+    assert remarks(pretended(), SLOW) == []
+    assert remarks(pretended(names=("A", "A")), SLOW) == []
+    assert remarks(pretended(names=("T4",), bf16=False), SLOW) == ["T4 multiplies no bfloat16, so it takes longer"]
+    assert remarks(pretended(names=("T4",), bf16=False), "") == []
+    (mixed,) = remarks(pretended(names=("B", "A", "B")), SLOW)
     assert "cards of different kinds (A, B)" in mixed
+
+
+@pytest.mark.parametrize(
+    ("torch", "says"),
+    [
+        (pretended(names=("T4",), bf16=False), "training: T4 multiplies no bfloat16, so it takes longer"),
+        (pretended(None, usable=False), "training runs on the processor; there is a card, but this PyTorch is a build"),
+        (pretended(error="driver too old", usable=False), "on the processor; .* it does not start: driver too old"),
+    ],
+)
+def test_what_is_slower_is_said(torch: Any, says: str, driver: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES")
+    with pytest.warns(RuntimeWarning, match=says) as told:
+        warn(torch, "training", SLOW, driver)
+    assert len(told) == 1
+
+
+def test_who_hides_a_card_knows_of_it(driver: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
+    warn(pretended(usable=False), "training", SLOW, driver)
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES")
+    warn(pretended(None, usable=False), "training", SLOW, tmp_path / "no driver")
+    warn(pretended(), "training", SLOW, driver)
+
+
+class OutOfMemoryError(RuntimeError):
+    """As PyTorch's own is called."""
+
+
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        (OutOfMemoryError(FULL), "the card's memory is full: end what else uses it (nvidia-smi lists it)"),
+        (RuntimeError(FULL), "the card's memory is full: end what else uses it (nvidia-smi lists it)"),
+        (
+            RuntimeError(TAKEN),
+            "another program holds the card for itself: wait for it, or choose another by CUDA_VISIBLE_DEVICES",
+        ),
+    ],
+)
+def test_a_card_that_is_full_or_taken_is_a_sentence(error: Exception, says: str) -> None:
+    with pytest.raises(TrainingError) as caught, in_memory(TrainingError, "training", ", or hide it"):
+        raise error
+    assert str(caught.value) == f"training: {says}, or hide it"
+
+
+def test_other_errors_stay_what_they_are() -> None:
+    with pytest.raises(RuntimeError, match="shapes"), in_memory(TrainingError, "training", ""):
+        raise RuntimeError("shapes do not fit")

@@ -104,6 +104,20 @@ def test_forced_answers_are_those_of_generate_in_as_many_passes_as_there_are_cho
         assert decode.passes == 2
 
 
+@pytest.mark.card
+@pytest.mark.parametrize("compiler", [None, "inductor"])
+def test_a_card_answers_as_the_host_does(model: Any, compiler: str | None) -> None:
+    """Also where it replays what it recorded: the second time, every answer comes from recordings alone."""
+    torch.backends.cuda.matmul.allow_tf32 = torch.backends.cudnn.allow_tf32 = False
+    torch.compiler.reset()
+    forms, there = Forms(ANSWERS), copy.deepcopy(model).to("cuda")
+    decode = QwenDecoder(there, end=END, most=12, forms=forms, compiler=compiler)
+    wanted = [generated(model, question(seed), 12, forms) for seed in range(4)]
+    for _ in range(2):
+        for seed, answer in enumerate(wanted):
+            assert decode({name: value.to("cuda") for name, value in question(seed).items()}) == answer
+
+
 def test_what_comes_before_the_image_is_computed_once(model: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     decode = QwenDecoder(model, end=END, most=1)
     text, counts = model.model.language_model, []

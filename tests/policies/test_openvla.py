@@ -59,6 +59,34 @@ def test_the_observations_own_instruction_counts(folder):
     assert not np.array_equal(policy.act(seen(1)), one)
 
 
+def test_where_the_card_is_full_a_pass_is_made_in_parts(folder, monkeypatch):
+    policy = make_policy(f"openvla:{folder},decoder=parallel,device=cpu,stack=4")
+    wanted = [policy.act(seen(number)) for number in range(4)]
+    together, passes = policy._decode.together, []
+
+    def full(images, prompts):
+        passes.append(len(images))
+        if len(images) > 1:
+            raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.")
+        return together(images, prompts)
+
+    monkeypatch.setattr(policy._decode, "together", full)
+    answers = policy.act_batch([policy.fork() for _ in range(4)], [seen(number) for number in range(4)])
+    assert passes == [4, 2, 1, 1, 2, 1, 1]
+    for answer, alone in zip(answers, wanted, strict=True):
+        assert not isinstance(answer, Exception)
+        assert np.allclose(answer, alone, atol=1e-4)
+
+
+def test_a_card_that_is_full_before_take_off_is_a_sentence(folder, monkeypatch):
+    def full(*_):
+        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.")
+
+    monkeypatch.setattr(openvla, "_decoder", full)
+    with pytest.raises(PolicyError, match=r"^policy openvla: the card's memory is full: .*, or take quant=int8"):
+        make_policy(f"openvla:{folder},device=cpu")
+
+
 def test_compiled_blocks_fly_the_same_and_are_run_before_take_off(folder, monkeypatch):
     plain = make_policy(f"openvla:{folder},device=cpu")
     torch.compiler.reset()

@@ -220,6 +220,26 @@ def test_a_folder_without_a_model(tmp_path):
         make_reasoner(f"vlm-local:{tmp_path},device=cpu")
 
 
+@pytest.mark.parametrize(
+    ("error", "says"),
+    [
+        (
+            "CUDA out of memory. Tried to allocate 2.00 GiB.",
+            "on 'cpu': the card's memory is full: .* bits=8 or device=",
+        ),
+        ("CUDA error: CUDA-capable device(s) is/are busy or unavailable", "another program holds the card for itself"),
+    ],
+)
+def test_a_card_that_is_full_or_taken_is_a_sentence(folder, monkeypatch, error, says):
+    def fails(*_):
+        raise RuntimeError(error)
+
+    monkeypatch.setattr(LocalVlm, "_load", fails)
+    with pytest.raises(PolicyError, match=says) as caught:
+        make_reasoner(f"vlm-local:{folder},device=cpu")
+    assert "config.json" not in str(caught.value)
+
+
 def test_a_model_of_another_kind(tmp_path):
     transformers.BertConfig().save_pretrained(tmp_path)
     with pytest.raises(PolicyError, match=r"'bert'.*qwen2_5_vl"):

@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cognitivedrone.errors import PolicyError
+from cognitivedrone.sim import simulator
 from cognitivedrone.sim.airframe import AIRFRAMES, IRIS, RACER
-from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.sim.dynamics import Flight, threads_for
 
 CONTROL_TICKS = 40  # 10 Hz
 
@@ -151,7 +152,25 @@ def test_reset_is_exact() -> None:
     assert not state.body_rates.any()
 
 
-@pytest.mark.parametrize(("worlds", "threads"), [(5, 1), (16, 1), (64, 2)])
+@pytest.mark.parametrize(
+    ("worlds", "threads", "found"), [(1, 16, 1), (16, 16, 1), (63, 16, 1), (64, 16, 2), (64, 1, 1), (512, 4, 4)]
+)
+def test_threads_of_the_physics_follow_the_work(
+    worlds: int, threads: int, found: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken: list[int] = []
+
+    def flight(worlds: int, *_: object, threads: int) -> Flight:
+        taken.append(threads)
+        return Flight(1)
+
+    monkeypatch.setattr(simulator, "Flight", flight)
+    assert threads_for(worlds, threads) == found
+    simulator.Simulator(worlds, threads=threads, render=False)
+    assert taken == [found]
+
+
+@pytest.mark.parametrize(("worlds", "threads"), [(5, 1), (5, 2), (16, 4), (64, 2)])
 def test_a_flight_does_not_depend_on_the_others_nor_on_threads(worlds: int, threads: int) -> None:
     rng = np.random.default_rng(worlds)
     actions = rng.uniform([-2, -2, -1, -1], [2, 2, 0.8, 1], (40, worlds, 4))

@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -174,8 +175,12 @@ def test_a_card_that_another_program_holds_is_left_alone(fresh: pytest.MonkeyPat
     assert renderers.why(CARD) == "CUDA_VISIBLE_DEVICES hides all cards, but nothing else draws here"
 
 
-def test_why_names_what_decided(fresh: pytest.MonkeyPatch) -> None:
-    assert renderers.why(LLVMPIPE) == "OpenGL finds no graphics card"
+def test_why_names_what_decided(fresh: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert renderers.why(LLVMPIPE, tmp_path / "no driver") == "OpenGL finds no graphics card"
+    assert renderers.why(LLVMPIPE, tmp_path) == (  # CUDA is there, OpenGL is not
+        "OpenGL does not find the graphics card of this machine: install the card's OpenGL, in a container by"
+        " NVIDIA_DRIVER_CAPABILITIES=all"
+    )
     fresh.setenv("CUDA_VISIBLE_DEVICES", "GPU-1a2b")
     assert "does not know the names in CUDA_VISIBLE_DEVICES; MUJOCO_EGL_DEVICE_ID chooses" in renderers.why(CARD)
     fresh.setenv("MUJOCO_GL", "osmesa")

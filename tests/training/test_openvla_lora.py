@@ -34,7 +34,7 @@ from cognitivedrone.models.openvla.prepare import END, ImagePreparation, prompt_
 from cognitivedrone.models.openvla.tensors import elements, unused_tensors, used_tensors
 from cognitivedrone.models.openvla.weights import load
 from cognitivedrone.training.openvla import lora as openvla_lora
-from cognitivedrone.training.openvla.adapters import add_adapters, take_adapters
+from cognitivedrone.training.openvla.adapters import add_adapters, cast_inputs, take_adapters
 from cognitivedrone.training.openvla.base import (
     check_machine,
     fitted,
@@ -205,6 +205,36 @@ def test_a_batch_is_learnt_by_heart(base: Path, flights: Path) -> None:
         losses.append(float(loss.detach()))
     assert losses[0] > 9
     assert losses[-1] < losses[0] / 3
+
+
+def test_adapters_without_copies_of_their_inputs_learn_the_same_bits_in_less_memory(base: Path, flights: Path) -> None:
+    config = FineTuning(base, flights, Path("unused"), RECIPE)
+    samples = _maker(config)(config.flights.train[:4])
+    network = load(config.checkpoint, "cpu", torch.bfloat16)
+    trained = add_adapters(network, RECIPE)
+    generator = torch.Generator().manual_seed(0)
+    with torch.no_grad():  # those on the way out begin with zeros, which hide what goes in
+        for value in trained.values():
+            value.copy_(0.1 * torch.randn(value.shape, generator=generator))
+    network.train()
+
+    def learnt() -> tuple[list[torch.Tensor], int]:
+        kept: dict[int, int] = {}
+
+        def keep(value: torch.Tensor) -> torch.Tensor:
+            kept[value.untyped_storage().data_ptr()] = value.untyped_storage().nbytes()
+            return value
+
+        with torch.autograd.graph.saved_tensors_hooks(keep, lambda value: value), torch.autocast("cpu", torch.bfloat16):
+            loss = network(**samples).loss
+        return [loss.detach(), *torch.autograd.grad(loss, list(trained.values()))], sum(kept.values())
+
+    ours, bytes_kept = learnt()
+    cast_inputs(network, enabled=True)  # as PEFT does by itself
+    copied, more_bytes = learnt()
+    assert all(torch.equal(one, other) for one, other in zip(ours, copied, strict=True))
+    assert any(value.any() for value in ours[1:])
+    assert bytes_kept < 0.95 * more_bytes
 
 
 def test_gradients_of_micro_batches_add_up(base: Path, flights: Path, tmp_path: Path) -> None:

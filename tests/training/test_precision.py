@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -13,7 +14,7 @@ from quick_trainings import train_here
 from torch.nn.modules.module import register_module_forward_hook
 
 from cognitivedrone.training.recipes import RECIPES
-from cognitivedrone.training.trainer import trainer
+from cognitivedrone.training.trainer import precision, trainer
 from cognitivedrone.training.trainer.precision import multiplies_bf16
 from cognitivedrone.training.trainer.training_task import Given
 
@@ -42,6 +43,20 @@ def test_what_a_processor_multiplies(tmp_path, text, found):
 
 def test_a_system_that_does_not_say_is_taken_for_one_that_does_not(tmp_path):
     assert not multiplies_bf16(tmp_path / "cpuinfo")
+
+
+@pytest.mark.parametrize("multiplies", [True, False])
+def test_a_card_is_asked_whether_it_multiplies_bf16_itself(monkeypatch, multiplies):
+    asked = []
+
+    def is_bf16_supported(including_emulation):
+        asked.append(including_emulation)
+        return multiplies
+
+    cuda = SimpleNamespace(is_available=lambda: True, is_bf16_supported=is_bf16_supported)
+    monkeypatch.setattr(precision, "torch", SimpleNamespace(cuda=cuda))
+    assert precision.trains_in_bf16.__wrapped__() is multiplies
+    assert asked == [False]
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import subprocess
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import pytest
 import torch
@@ -30,6 +30,7 @@ from cognitivedrone.training.small_vla.language import DEBUG_LANGUAGE, LanguageR
 from cognitivedrone.training.small_vla.policy import TrainRecipe
 from cognitivedrone.training.small_vla.trained import load_trained
 from cognitivedrone.training.small_vla.validation import action_measures
+from cognitivedrone.training.trainer import trainer
 from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint
 from cognitivedrone.training.trainer.prefetch import PrefetchQueue, learner_path
 from cognitivedrone.training.trainer.run_log import DIMENSIONS, METRICS, draw_curves, read_rows
@@ -126,7 +127,7 @@ def test_a_killed_training_ends_with_the_same_weights(runs: Runs) -> None:
 
 def test_a_killed_training_leaves_the_same_curves(runs: Runs) -> None:
     whole, resumed = (
-        [{key: row[key] for key in row if key != "steps_per_s"} for row in read_rows(run / METRICS)]
+        [{key: row[key] for key in row if key not in ("steps_per_s", "waiting")} for row in read_rows(run / METRICS)]
         for run in (runs.whole, runs.resumed)
     )
     assert [row["step"] for row in whole] == [2, 4, 6]
@@ -146,7 +147,7 @@ def test_a_training_changes_all_weights_but_those_of_reader_and_language(runs: R
 
 def test_rows_have_the_measures_of_the_literature_and_the_baseline(runs: Runs) -> None:
     rows = read_rows(runs.whole / METRICS)
-    wanted = {"step", "steps_per_s", "choice accuracy", "train loss", "train choice accuracy"}
+    wanted = {"step", "steps_per_s", "waiting", "choice accuracy", "train loss", "train choice accuracy"}
     for measure in ("l1", "accuracy", "baseline accuracy", "baseline l1"):
         wanted |= {measure} | {f"{measure} {dimension}" for dimension in DIMENSIONS}
     for part in ("heat", "place", "looks", "choice", "action"):
@@ -356,6 +357,22 @@ def test_ctrl_c_before_the_first_checkpoint_says_that_there_is_nothing_to_resume
         patch.setattr("cognitivedrone.training.trainer.trainer._CheckpointManager", Stopped)
         with pytest.raises(KeyboardInterrupt, match=r"stopped at step 0, before the first checkpoint; .*start again"):
             train_here(tmp_path / "run", training_of(start), seed=3)
+
+
+def test_a_card_that_fills_up_is_a_sentence_and_no_round_is_lost(
+    tmp_path: Path, start: Given, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    step_once = trainer._step
+
+    def step(*arguments: Any) -> Any:
+        if arguments[-1] == 3:
+            raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB.")
+        return step_once(*arguments)
+
+    monkeypatch.setattr(trainer, "_step", step)
+    with pytest.raises(TrainingError, match=r"memory is full: end what else .*; --resume goes on from the last round"):
+        train_here(tmp_path / "run", training_of(start), seed=3)
+    assert read_checkpoint(tmp_path / "run" / CHECKPOINT)[1]["step"] == 2
 
 
 def test_the_stream_tells_how_it_begins(tmp_path: Path, start: Given, monkeypatch: pytest.MonkeyPatch) -> None:

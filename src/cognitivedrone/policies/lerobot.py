@@ -18,6 +18,7 @@ from cognitivedrone.errors import MissingExtra, ModelError, PolicyError, import_
 from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.files.schema import check_form
 from cognitivedrone.interfaces import Policy
+from cognitivedrone.models.card import in_memory, why_none
 from cognitivedrone.models.openvla.checkpoint import read_header
 from cognitivedrone.policies.small import state_of
 from cognitivedrone.text.json_text import parse_json
@@ -52,8 +53,10 @@ class LeRobot(Policy):
         self._torch = torch
         name = device or ("cuda" if torch.cuda.is_available() else "cpu")
         if name == "cuda" and not torch.cuda.is_available():
-            raise ModelError("device=cuda, but this machine has no GPU that PyTorch can use; leave it out")
-        self._policy, self._before, self._after = _loaded(self.folder, name)
+            fault = why_none(torch)
+            raise ModelError(f"device=cuda, but this machine has no GPU that PyTorch can use; leave it out{fault}")
+        with in_memory(ModelError, "policy lerobot", ", or give device=cpu"):
+            self._policy, self._before, self._after = _loaded(self.folder, name)
 
     @classmethod
     def file_of(cls, folder: Path, *, device: str | None = None) -> Path:  # noqa: ARG003

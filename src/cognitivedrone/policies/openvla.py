@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ import numpy as np
 
 from cognitivedrone.errors import ModelError, NonFiniteAction, PluginError, PolicyError, import_extra
 from cognitivedrone.interfaces import Policy, attempt
-from cognitivedrone.models.card import remarks, why_none
+from cognitivedrone.models.card import EMULATED, in_memory, shortage, warn, why_none
 from cognitivedrone.models.compiling import compiled_or_plain
 from cognitivedrone.models.openvla import checkpoint as checkpoints
 from cognitivedrone.models.openvla.checkpoint import Checkpoint, DecoderName, Quantisation
@@ -82,7 +81,8 @@ class OpenVla(Policy):
             raise ModelError(
                 f"{self.options.folder} has no head for decoder=parallel; use decoder=ar, or fine-tune it in chunks"
             )
-        self._decode = _decoder(self.options, self.checkpoint)
+        with in_memory(ModelError, "policy openvla", ", or take quant=int8, which needs half as much"):
+            self._decode = _decoder(self.options, self.checkpoint)
         self._encode = read_encoder(self.checkpoint.tokenizer)
         self._text: str | None = None
         self._ids: list[int] = []
@@ -130,10 +130,19 @@ class OpenVla(Policy):
         return self.checkpoint.preparation.square(image), self._ids
 
     def _together(self, frames: Sequence[tuple[Image, list[int]]]) -> Sequence[FloatArray | Exception]:
-        """The network's answers to some frames in one pass; an exception is that of all."""
+        """The network's answers to some frames in one pass, or in smaller ones where the card's memory is full.
+
+        An exception is that of all frames of its pass.
+        """
         images, prompts = zip(*frames, strict=True)
         answers = attempt(lambda images: self._decode.together(images, prompts), np.stack(images))
-        return [answers] * len(frames) if isinstance(answers, Exception) else list(answers)
+        if not isinstance(answers, Exception):
+            return list(answers)
+        if len(frames) == 1 or not shortage(answers):
+            return [answers] * len(frames)
+        del answers  # with its traceback, which holds the tensors of the pass
+        half = len(frames) // 2
+        return [*self._together(frames[:half]), *self._together(frames[half:])]
 
     def _decided(self, answer: FloatArray | Exception) -> ActionChunk:
         """The commands by the network's answer (k, 4)."""
@@ -165,8 +174,8 @@ def _decoder(options: Options, checkpoint: Checkpoint) -> Decoder:
             f" and {checkpoints.free_memory() / 1e9:.1f} GB of free main memory; use a machine with a GPU, or"
             f" device=cpu, which takes seconds per action{why_none(torch)}"
         )
-    for remark in remarks(torch) if device == "cuda" else ():
-        warnings.warn(f"policy openvla: {remark}", RuntimeWarning, stacklevel=3)
+    if device == "cuda":
+        warn(torch, "policy openvla", EMULATED)
     if options.quant != "none":
         whole = checkpoints.needed_bytes(checkpoint.config, "none", stored)
         checkpoints.check_reading(whole, checkpoints.free_memory(), options.quant)

@@ -18,7 +18,7 @@ import numpy as np
 
 from cognitivedrone.errors import MissingExtra, ModelError, did_you_mean, import_extra
 from cognitivedrone.interfaces import Reasoner
-from cognitivedrone.models.card import why_none
+from cognitivedrone.models.card import shortage, warn
 from cognitivedrone.models.compiling import compiled_or_plain
 from cognitivedrone.reasoners.prompt import (
     MAX_TOKENS,
@@ -38,6 +38,7 @@ FAMILIES: dict[str, str] = {
 }
 """Start of a conversation in each family, by the configuration's `model_type`; from its chat template."""
 IMAGE_TOKEN = "<|image_pad|>"  # noqa: S105 - a word of the model's vocabulary
+_EMULATED = "which is emulated, several times slower: dtype=float32 may be faster"
 _END = "<|im_end|>"
 _OPENING = "<|im_start|>user\n"
 _BEFORE_IMAGE = "<|vision_start|>"
@@ -76,8 +77,8 @@ class LocalVlm(Reasoner):
         self._template = load_prompt(prompt)
         self._torch = import_extra("torch", "vlm-local")
         self._transformers = import_extra("transformers", "vlm-local")
-        if device is None and (fault := why_none(self._torch)):
-            warnings.warn(f"reasoner vlm-local runs on the processor{fault}", RuntimeWarning, stacklevel=2)
+        if device is None or (device != "cpu" and self._torch.cuda.is_available()):
+            warn(self._torch, "reasoner vlm-local", "" if dtype == "float32" else _EMULATED)
         device = device or ("cuda" if self._torch.cuda.is_available() else "cpu")
         dtype = dtype or ("float32" if device == "cpu" else "bfloat16")
         loading = {
@@ -87,6 +88,11 @@ class LocalVlm(Reasoner):
         try:
             self._load(str(Path(model).expanduser()), loading, self._torch.device(device), dtype, bits)
         except (OSError, ValueError, RuntimeError, KeyError) as error:
+            if short := shortage(error):
+                raise ModelError(
+                    f"reasoner 'vlm-local' cannot load {model!r} on {device!r}: {short}, or take a smaller model,"
+                    " bits=8 or device=cpu"
+                ) from None
             line = " ".join(str(error).split())[:300]
             raise ModelError(
                 f"reasoner 'vlm-local' cannot load {model!r} on {device!r}: {line} (give a folder with config.json, the"

@@ -19,12 +19,20 @@ MAX_BODY_RATE_RAD_S = 300.0
 _LIMITS = np.array([MAX_POSITION_M] * 3 + [2.0] * 4 + [MAX_VELOCITY_M_S] * 3 + [MAX_BODY_RATE_RAD_S] * 3)[:, None]
 """Limits of the state: m, quaternion, m/s, rad/s."""
 
-_WORLDS_PER_THREAD = 32
+WORLDS_PER_THREAD = 32
 """Stepping fewer worlds takes less time than waking a sleeping thread, much less on a busy machine."""
 
 
+def threads_for(worlds: int, threads: int) -> int:
+    """How many of up to `threads` threads pay off for the physics of so many worlds (`benchmarks/dynamics.py`).
+
+    They are woken at every tick of 2.5 ms, and wait for each other; the autopilot between ticks has one thread anyway.
+    """
+    return max(1, min(threads, worlds // WORLDS_PER_THREAD))
+
+
 class Flight:
-    """n drones, each in its own world, flown by velocity setpoints, on up to `threads` threads.
+    """n drones, each in its own world, flown by velocity setpoints, on `threads` threads.
 
     A world's flight depends only on its `reset` and its commands, to the last bit: not on the other worlds,
     on threads, or on earlier flights.
@@ -45,7 +53,6 @@ class Flight:
     ) -> None:
         self.worlds = worlds
         self.airframe = airframe
-        threads = max(1, min(threads, worlds // _WORLDS_PER_THREAD))
         self._batch = Batch(build_model(airframe, self.TICK_S), worlds, threads)
         self._qpos, self._qvel = self._batch.bind("qpos"), self._batch.bind("qvel")
         self._ctrl, self._act = self._batch.bind("ctrl"), self._batch.bind("act")

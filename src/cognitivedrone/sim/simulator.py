@@ -9,7 +9,7 @@ import numpy as np
 from cognitivedrone.sim.airframe import RACER, Airframe
 from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, Scenery, Start
-from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.sim.dynamics import Flight, threads_for
 from cognitivedrone.sim.gate_monitor import GateEvent, GateMonitor
 from cognitivedrone.types import IMAGE_SIZE, DroneState, FloatArray, Image, Images, Stage
 
@@ -17,7 +17,8 @@ from cognitivedrone.types import IMAGE_SIZE, DroneState, FloatArray, Image, Imag
 class Simulator:
     """n independent worlds, stepped together. Knows stages, never tasks.
 
-    `threads` are used for physics and rendering; results are the same bits whatever their number.
+    Up to `threads` are used for physics and rendering, as many as pay off; results are the same bits whatever their
+    number.
     """
 
     def __init__(
@@ -31,7 +32,7 @@ class Simulator:
     ) -> None:
         self.worlds = worlds
         self.airframe = airframe
-        self.flight = Flight(worlds, airframe, threads=threads)
+        self.flight = Flight(worlds, airframe, threads=threads_for(worlds, threads))
         self.cameras = Cameras(worlds, size, threads=threads) if render else None
         """The renderer; none where nothing is drawn."""
         self.ticks = np.zeros(worlds, dtype=np.int64)

@@ -29,6 +29,9 @@ else:
 
 # The machine.
 
+NVIDIAS_DRIVER: Final = Path("/proc/driver/nvidia/version")
+"""Is there where NVIDIA's driver is loaded; nowhere but on Linux."""
+
 
 def name() -> str:
     """The system's name in files of results: Linux, Darwin (macOS) or Windows."""

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import re
+from pathlib import Path
 from typing import Final
 
 from cognitivedrone.errors import RenderError
+from cognitivedrone.system import NVIDIAS_DRIVER
 from cognitivedrone.text.printable import visible
 
 CHOICE: Final = "COGNITIVEDRONE_RENDERER"
@@ -74,8 +76,8 @@ def check(renderer: str) -> None:
     )
 
 
-def why(renderer: str) -> str:
-    """Why this renderer draws, as the end of a sentence."""
+def why(renderer: str, driver: Path = NVIDIAS_DRIVER) -> str:
+    """Why this renderer draws, as the end of a sentence. `driver` is there where NVIDIA's is loaded."""
     if os.environ.get("MUJOCO_GL"):
         return f"MUJOCO_GL={visible(os.environ['MUJOCO_GL'])}"
     if wish := chosen():
@@ -84,6 +86,11 @@ def why(renderer: str) -> str:
     if cards_hidden():
         hides = f"{VISIBLE} hides all cards"
         return hides if software else f"{hides}, but nothing else draws here"
+    if software and driver.exists():
+        return (
+            "OpenGL does not find the graphics card of this machine: install the card's OpenGL, in a container by"
+            " NVIDIA_DRIVER_CAPABILITIES=all"
+        )
     if software:
         return "OpenGL finds no graphics card"
     if re.search("[A-Za-z]", os.environ.get(VISIBLE, "")):

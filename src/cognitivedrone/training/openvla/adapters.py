@@ -21,7 +21,8 @@ def add_adapters(network: OpenVlaNetwork, recipe: LoraRecipe, seed: int = 0) -> 
     """Add adapters to every linear layer, and freeze everything else; returns the trained weights (float32) by name.
 
     As in the published fine-tuning, the output layer and the patch convolutions count as linear, and an adapter's
-    input matrix is initialised normally, its output matrix with zeros.
+    input matrix is initialised normally, its output matrix with zeros. In bfloat16 the network is to be run under
+    autocast, as it is trained.
     """
     names = [name for name, module in network.named_modules() if isinstance(module, nn.Linear | nn.Conv2d)]
     torch.manual_seed(seed)
@@ -31,7 +32,18 @@ def add_adapters(network: OpenVlaNetwork, recipe: LoraRecipe, seed: int = 0) -> 
     trained = {name: value for name, value in network.named_parameters() if value.requires_grad}
     for value in trained.values():
         value.data = value.data.float()
+    cast_inputs(network, enabled=False)
     return trained
+
+
+def cast_inputs(network: nn.Module, *, enabled: bool) -> None:
+    """Whether adapters make a float32 copy of their inputs, as PEFT does by default.
+
+    Autocast makes bfloat16 of it at once: the same numbers, but a copy for each adapter, kept for the backward pass.
+    """
+    for module in network.modules():
+        if isinstance(module, LoraLayer):
+            module.cast_input_dtype_enabled = enabled
 
 
 def merge_adapters(network: OpenVlaNetwork) -> None:

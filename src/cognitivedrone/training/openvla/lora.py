@@ -33,6 +33,7 @@ from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.files import remove, remove_left_over, replace_file, replacing_folder
+from cognitivedrone.models import card
 from cognitivedrone.models.openvla import checkpoint as checkpoints
 from cognitivedrone.models.openvla.checkpoint import Checkpoint
 from cognitivedrone.models.openvla.config import ACTION_SIZE, KEY
@@ -122,17 +123,20 @@ def fine_tune(config: FineTuning, report: Callable[[str], None] = print) -> Path
     recipe, out = config.recipe, config.out
     found = _found(config, resume=config.resume)
     accelerator = _accelerator(config)
+    if accelerator.is_main_process:
+        card.warn(torch, "fine-tuning", card.EMULATED)
     if recipe.batch % accelerator.num_processes:
         raise TrainingError(f"a batch of {recipe.batch} cannot be shared by {accelerator.num_processes} processes")
     step = 0 if found is None else step_of(found[1], config.recipe.steps)
     if step < recipe.steps:
-        recipe = _fitted(config, accelerator)
-        if accelerator.is_main_process:
-            out.mkdir(parents=True, exist_ok=True)
-            remove_left_over(out)
-            remove(out, MERGED)  # of an earlier checkpoint
-            replace_file(out / "recipe.json", f"{json.dumps(config.identity, indent=2)}\n".encode())
-        _train(config, recipe, accelerator, found, report)
+        with card.in_memory(TrainingError, f"the fine-tuning in {out}", "; --resume goes on from the last checkpoint"):
+            recipe = _fitted(config, accelerator)
+            if accelerator.is_main_process:
+                out.mkdir(parents=True, exist_ok=True)
+                remove_left_over(out)
+                remove(out, MERGED)  # of an earlier checkpoint
+                replace_file(out / "recipe.json", f"{json.dumps(config.identity, indent=2)}\n".encode())
+            _train(config, recipe, accelerator, found, report)
     merges = accelerator.is_main_process and (step < recipe.steps or not (out / MERGED).is_dir())
     accelerator.end_training()  # no process has to wait for the merging
     if merges:

@@ -14,8 +14,10 @@ _PROCESSOR: Final = Path("/proc/cpuinfo")
 
 @functools.cache
 def trains_in_bf16() -> bool:
-    """Whether this machine does. Processors without bfloat16 only emulate it, several times slower than float32."""
-    return torch.cuda.is_available() or multiplies_bf16(_PROCESSOR)
+    """Whether this machine does. What has no bfloat16 only emulates it, several times slower than float32."""
+    if torch.cuda.is_available():
+        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
+    return multiplies_bf16(_PROCESSOR)
 
 
 def multiplies_bf16(processor: Path) -> bool:

@@ -21,9 +21,11 @@ from torch import nn
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.files import check_no_link, remove, remove_left_over, replace_file, writing
+from cognitivedrone.models import card
 from cognitivedrone.terminal import console
 from cognitivedrone.terminal.progress import progress_bar
 from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint, restore, save_checkpoint, step_of
+from cognitivedrone.training.trainer.pace import Pace
 from cognitivedrone.training.trainer.precision import trains_in_bf16
 from cognitivedrone.training.trainer.prefetch import LEARNERS, PrefetchQueue, learner_path
 from cognitivedrone.training.trainer.run_log import BOARD, RunLog
@@ -31,7 +33,8 @@ from cognitivedrone.training.trainer.training_task import Batch, Row, Schedule, 
 
 _VALIDATED = ("choice accuracy", "text accuracy", "l1", "accuracy", "cross-entropy", "success")
 _SILENCE_S = 20.0
-_HEADLINES = {"train loss": "loss", **{name: name for name in _VALIDATED}}
+_WAY_OUT = ", or hide it (CUDA_VISIBLE_DEVICES=) to train on the processor; --resume goes on from the last round"
+_HEADLINES = {"waiting": "waiting for data", "train loss": "loss", **{name: name for name in _VALIDATED}}
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +64,11 @@ def train(config: TrainConfig, report: Callable[[str], None] = print) -> Path:
     A training run stopped at any moment continues from the last full round with `resume`, and ends with the same
     weights on the same machine as an uninterrupted one. Raises `TrainingError`.
     """
+    with card.in_memory(TrainingError, f"the training in {config.out}", _WAY_OUT):
+        return _trained(config, report)
+
+
+def _trained(config: TrainConfig, report: Callable[[str], None]) -> Path:
     torch.set_num_threads(config.threads)
     stages = _Stages()
     # Accelerate allows one precision in a process; where bfloat16 is slow, it is the casting that is switched off.
@@ -70,6 +78,7 @@ def train(config: TrainConfig, report: Callable[[str], None] = print) -> Path:
     schedule = training_task.recipe
     torch.manual_seed(config.seed)
     if accelerator.is_main_process:
+        card.warn(torch, "training", "so it trains in float32, which takes longer")
         stages.report("making the network")
     network = training_task.network()
     optimizer = torch.optim.AdamW(
@@ -94,8 +103,9 @@ def train(config: TrainConfig, report: Callable[[str], None] = print) -> Path:
         prefetch = PrefetchQueue(part, out, seed=config.seed, rank=rank, first_round=first_round, waiting=waiting)
         stack.enter_context(prefetch)
         waiting("drawing validation data")
-        manager = _CheckpointManager(config, accelerator, report) if accelerator.is_main_process else None
-        for batch in prefetch:
+        pace = Pace(accelerator.device)
+        manager = _CheckpointManager(config, accelerator, pace, report) if accelerator.is_main_process else None
+        for batch in pace.over(prefetch):
             _seed_step(config.seed, rank, step)
             measures = _step(loss_module, optimizer, accelerator, batch, schedule, step)
             step += 1
@@ -244,13 +254,14 @@ def stop_message(out: Path, where: str = "") -> str:
 class _CheckpointManager:
     """Work of the main process beside the steps: checkpoints, curves, validation and trials."""
 
-    def __init__(self, config: TrainConfig, accelerator: Accelerator, report: Callable[[str], None]) -> None:
-        self._config, self._accelerator = config, accelerator
+    def __init__(
+        self, config: TrainConfig, accelerator: Accelerator, pace: Pace, report: Callable[[str], None]
+    ) -> None:
+        self._config, self._accelerator, self._pace = config, accelerator, pace
         self._task, self._schedule = config.training_task, config.training_task.recipe
         self._facts = _identity(config) | config.training_task.facts()
         self._sums: dict[str, float] = defaultdict(float)
         self._count = 0
-        self._since = time.monotonic()
         self._recent = ""
         self._log = RunLog(config.out, report, "steps_per_s", _HEADLINES)
         self._batches: list[Batch] = config.training_task.validation(config.seed)
@@ -273,7 +284,7 @@ class _CheckpointManager:
         schedule, out = self._schedule, self._config.out
         last = step == schedule.steps
         row: Row = {f"train {name}": value / max(self._count, 1) for name, value in self._sums.items()}
-        row |= {"step": step, "steps_per_s": self._count / (time.monotonic() - self._since)}
+        row |= {"step": step, **self._pace.measures()}
         if step % schedule.validate_every == 0 or last:
             row |= self._task.validate(loss_module, self._batches, self._accelerator.autocast)
         if schedule.fly_every and (step % schedule.fly_every == 0 or last):
@@ -285,4 +296,5 @@ class _CheckpointManager:
         remove(out, learner_path(out, round_ - 4).relative_to(out))
         save_checkpoint(out / CHECKPOINT, loss_module.network, optimizer, facts)
         self._sums.clear()
-        self._count, self._since = 0, time.monotonic()
+        self._count = 0
+        self._pace.begin()
