@@ -97,3 +97,47 @@ def test_a_frame_is_read_panel_by_panel() -> None:
     assert ((boxes[..., 3] >= 0) & (boxes[..., 3] <= 1)).all()
     for one, many in zip(alone, (read, looks, boxes), strict=True):
         torch.testing.assert_close(one[0], many[1], rtol=1e-4, atol=1e-4)
+
+
+def reading(**shares: float) -> np.ndarray:
+    """Probabilities (F,) of attribute values, by their names with "_" for "/" and ":"."""
+    row = np.zeros(len(ATTRIBUTES), np.float32)
+    for name, share in shares.items():
+        row[next(i for i, known in enumerate(ATTRIBUTES) if known.replace("/", "_").replace(":", "_") == name)] = share
+    return row
+
+
+def one_dog(several: float = 0.6) -> np.ndarray:
+    """A reading in doubt between a dog, and one dog that is counted."""
+    return reading(
+        kind_thing=1 - several, concept_thing_dog=0.9 * (1 - several), concept_thing_wolf=0.1 * (1 - several),
+        kind_several=several, thing_a_dog=several, count_a_1=several, thing_b_none=several,
+    )  # fmt: skip
+
+
+def value(row: np.ndarray, name: str) -> float:
+    return float(row[ATTRIBUTES.index(name)])
+
+
+def test_one_thing_is_read_as_that_thing_where_nothing_is_counted() -> None:
+    letter = reading(kind_letter=1.0, concept_letter_A=1.0)
+    dog, other = SCHEMA.single_things(np.stack([one_dog(), letter]))
+    assert value(dog, "kind/thing") == pytest.approx(1.0, abs=1e-5)
+    assert value(dog, "concept/thing:dog") == pytest.approx(0.9, abs=1e-5)
+    assert value(dog, "concept/thing:wolf") == pytest.approx(0.1, abs=1e-5)
+    for name in ("kind/several", "thing_a/dog", "count_a/1", "thing_b/none"):
+        assert value(dog, name) == pytest.approx(0.0, abs=1e-5)
+    np.testing.assert_array_equal(other, letter)
+
+
+def test_one_thing_beside_several_is_counted() -> None:
+    three = reading(kind_several=1.0, thing_a_dog=1.0, count_a_3=1.0, thing_b_none=1.0)
+    panels = np.stack([one_dog(), three])
+    np.testing.assert_array_equal(SCHEMA.single_things(panels), panels)
+
+
+def test_readings_without_doubt_stay_as_they_are_to_the_bit() -> None:
+    panels = np.stack([reading(kind_thing=1.0, concept_thing_dog=0.75), reading(kind_person=1.0, hat_beanie=0.7)])
+    np.testing.assert_array_equal(SCHEMA.single_things(panels), panels)
+    few = AttributeSchema(("kind/thing", "concept/thing:dog"))
+    np.testing.assert_array_equal(few.single_things(panels[:, :2]), panels[:, :2])

@@ -93,6 +93,24 @@ def made(monkeypatch, tmp_path):
 LETTERS = ("letter/A@inter", "letter/B@inter", "letter/C@inter")
 
 
+ONE_APPLE = "several/food/apple=1@noto"
+
+
+def test_one_thing_on_a_panel_is_that_thing_unless_things_are_counted(made):
+    doubtful = reading_of((ONE_APPLE, "animal/cat@noto", "animal/lion@noto"))
+    row = doubtful.readings[0]
+    row[ATTRIBUTES.index("concept/thing:apple")] = 1e-3
+    reasoner = made(Scripted(doubtful))
+    reasoner.refine(FRAME, "to the fruit")
+    assert [panel.shown for panel in reasoner.seen] == ["apple", "cat", "lion"]
+    assert "round; apple, food;" in reasoner.selector.asked[0].gates[0]
+
+    counted = reading_of((ONE_APPLE, "several/food/apple=3@noto", "several/food/apple=5@noto"))
+    reasoner = made(Scripted(counted))
+    reasoner.refine(FRAME, "to the fewest apples")
+    assert reasoner.selector.asked[0].gates[0].endswith("one apple, one in all; fewest apples")
+
+
 def test_gates_are_told_from_left_to_right_whatever_slot_they_were_found_in(made):
     parts = Scripted(reading_of(LETTERS, order=(2, 0, 1)))
     guidance = made(parts).refine(FRAME, "to the letter B")

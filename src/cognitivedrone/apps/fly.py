@@ -8,6 +8,7 @@ import statistics
 import sys
 from collections.abc import Callable, Collection, Sequence
 from contextlib import ExitStack, closing
+from dataclasses import replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -64,6 +65,9 @@ SCENES = 24
 """Maximum number of scenes that are made until the pilot can read one."""
 READ = 0.7
 """Certainty from which the pilot can read a scene."""
+NEARER_M = 1.5
+"""A scene is read from the start, and from so far ahead of it: a picture that is taken for another thing may be guessed
+right from one place, when the others are surely not what is asked for."""
 STOP_S, HOVER_M_S = 3.0, 0.2
 """After the last gate it has so long to stop; slower than this is a hover."""
 NO_PADS = "pads are landed on with --link sim only; say 'then land', and it lands where it is"
@@ -109,7 +113,7 @@ def fly_mission(
         try:
             with closing(_open(plan, out, pace)) as vehicle:
                 if scene is not None:
-                    scene = _begin(plan, vehicle, pilot, scene, understanding, given=given)
+                    scene = _begin(plan, vehicle, pilot, scene, evidence, given=given)
                     say(console, scene.summary)
                 log = FlightLog(out, _about(plan, scene), ros, pilot.reasoner)
                 with watchdog.over(vehicle, partial(log.close, None)):
@@ -190,9 +194,9 @@ def _planned(plan: FlyPlan, pilot: Pilot, scene: ChosenScene | None) -> Plans:
 
 
 def _begin(
-    plan: FlyPlan, vehicle: Vehicle, pilot: Pilot, scene: ChosenScene, understanding: Understanding, *, given: bool
+    plan: FlyPlan, vehicle: Vehicle, pilot: Pilot, scene: ChosenScene, evidence: Evidence, *, given: bool
 ) -> ChosenScene:
-    """Begin in the scene, or, where it was made, in the first of some alike that the pilot can read from the start."""
+    """Begin in the scene, or, where it was made, in the first of some alike that the pilot can read."""
     reasoner, track = pilot.reasoner, vehicle.track_runner
     made = scene.instruction and plan.vehicle.kind == "sim" and not given
     if not made or track is None or not isinstance(reasoner, SmallReasoner):
@@ -200,14 +204,43 @@ def _begin(
         return scene
     best = (-1.0, 0)
     for attempt in range(SCENES):
-        tried = choose_scene(plan, understanding, attempt)
-        _place(plan, vehicle, tried)
-        best = max(best, (certainty(reasoner.fork(), track, tried.instruction), -attempt))
+        tried = choose_scene(plan, evidence.understanding, attempt)
+        best = max(best, (_readable(plan, vehicle, track, reasoner, evidence, tried), -attempt))
         if best[0] >= READ:
-            return tried
-    chosen = choose_scene(plan, understanding, -best[1])
+            break
+    chosen = choose_scene(plan, evidence.understanding, -best[1])
     _place(plan, vehicle, chosen)
     return chosen
+
+
+def _readable(
+    plan: FlyPlan,
+    vehicle: Vehicle,
+    track: TrackRunner,
+    reasoner: SmallReasoner,
+    evidence: Evidence,
+    scene: ChosenScene,
+) -> float:
+    """How surely the pilot finds the right gate at every stage of a scene, from the start and from nearer: the least.
+
+    The views of a scene that is read badly already are not all drawn. The world is left at any of them.
+    """
+    least = 1.0
+    for stage, task in enumerate(scene.track):
+        if task.landing:
+            continue
+        _place(plan, vehicle, scene)  # draws start and appearance
+        start = track.start
+        x, y, z = start.position
+        asked = scene.instruction if stage == 0 else plain_instruction(evidence, scene, task.instruction)
+        reader = reasoner.fork()
+        for ahead in (0.0, NEARER_M):
+            near = replace(start, position=(x + ahead * math.cos(start.yaw), y + ahead * math.sin(start.yaw), z))
+            track.begin((task,), np.random.default_rng(0), near, track.appearance)
+            least = min(least, certainty(reader, track, asked or task.instruction))
+            if least < READ:
+                return least
+    return least
 
 
 def _place(plan: FlyPlan, vehicle: Vehicle, scene: ChosenScene) -> None:

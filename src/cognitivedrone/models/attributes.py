@@ -26,6 +26,8 @@ KINDS_OF: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("thing_a", "count_a", "thing_b", "count_b"), ("several",)),
 }
 """Kinds of picture that a group of attributes applies to; the other groups apply to people."""
+_COUNTED = 0.5  # probability of more than one thing on a panel, from which a stage is one of counted things
+_LEAST = 1e-6  # probability, for divisions
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,3 +70,29 @@ class AttributeSchema:
         kinds = self.groups["kind"]
         weighted: Floats = shares * (shares[:, kinds] @ self.applies())
         return weighted
+
+    def single_things(self, panels: Floats) -> Floats:
+        """Readings (n, F) of the panels of one stage, in which one thing that was counted is read as that thing.
+
+        One dog is drawn the same where dogs are counted and where animals are asked for, so a reader can only halve its
+        belief. What is beside it tells: unless a panel shows more than one thing, nothing is counted here.
+        """
+        columns = {name: column for column, name in enumerate(self.names)}
+        several, one, none = (columns.get(name) for name in ("kind/several", "count_a/1", "thing_b/none"))
+        things = list(self.things)
+        if several is None or one is None or none is None or not things:
+            return panels
+        counted = panels[:, several]
+        single = panels[:, one] * panels[:, none] / np.maximum(counted, _LEAST)
+        if float((counted - single).max(initial=0.0)) >= _COUNTED:
+            return panels
+        read = panels.copy()
+        mass = panels[:, things].sum(axis=1)
+        read[:, things] *= ((mass + single) / np.maximum(mass, _LEAST))[:, None]
+        read[:, columns["kind/thing"]] += single
+        read[:, several] -= single
+        left = ((counted - single) / np.maximum(counted, _LEAST))[:, None]
+        for group, kinds in KINDS_OF.items():
+            if kinds == ("several",) and group in self.groups:
+                read[:, self.groups[group]] *= left
+        return read

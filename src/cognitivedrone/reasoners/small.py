@@ -124,8 +124,11 @@ class SmallReasoner(Reasoner):
             self._stage, self._earlier = self._new(), []
             return
         stage = self._stage
-        panels = [(gate.attributes / gate.weight, int(color == stage.chosen)) for color, gate in _by_place(stage)]
-        self._earlier.append(panels)
+        gates = _by_place(stage)
+        shown = self._shown(gates)
+        self._earlier.append(
+            [(panel, int(color == stage.chosen)) for panel, (color, _) in zip(shown, gates, strict=True)]
+        )
         self._stage = self._new()
 
     def fork(self) -> Self:
@@ -143,11 +146,12 @@ class SmallReasoner(Reasoner):
         """
         self._add(self._see(image))
         gates = _by_place(self._stage)
-        self.seen = self._seen(gates)
+        panels = self._shown(gates)
+        self.seen = self._seen(gates, panels)
         if len(gates) < 3:
             raise ReasonerError("unsure", f"only {len(gates)} of 3 gates have been in view")
         scene = ReadScene(
-            panels=np.stack([gate.attributes / gate.weight for _, gate in gates]),
+            panels=panels,
             looks=np.stack([gate.looks / gate.weight for _, gate in gates]),
             board=self._board(),
             earlier=self._earlier[-STAGES:],
@@ -212,13 +216,18 @@ class SmallReasoner(Reasoner):
         shares_of_gates: Floats = shares_of(np.array([[*evidence, _NONE]], np.float32))[0]
         return shares_of_gates
 
-    def _seen(self, gates: Sequence[tuple[int, _Gate]]) -> tuple[SeenPanel, ...]:
+    def _shown(self, gates: Sequence[tuple[int, _Gate]]) -> Floats:
+        """(n, F): what the panels of gates show, by all frames so far."""
+        if not gates:
+            return np.zeros((0, self._size), np.float32)
+        return self.reader.attributes.single_things(np.stack([gate.attributes / gate.weight for _, gate in gates]))
+
+    def _seen(self, gates: Sequence[tuple[int, _Gate]], panels: Floats) -> tuple[SeenPanel, ...]:
         """The readings so far, gates from left to right."""
         concepts = self.reader.attributes.groups["concept"]
         names = self.reader.attributes.names[concepts]
         found = []
-        for color, gate in gates:
-            mean = gate.attributes / gate.weight
+        for (color, gate), mean in zip(gates, panels, strict=True):
             likeliest = np.argsort(-mean[concepts])[:_SAID]
             readings = tuple((_spoken(names[each]), float(mean[concepts][each])) for each in likeliest)
             shown = self._writer.shown(mean).partition(" or maybe ")[0]
