@@ -52,7 +52,7 @@ with ending_in_order():
 
 
 def test_pytorchs_launcher_ends_with_its_command_and_leaves_nothing(tmp_path):
-    """The real one; how the others end is in tests/test_processes.py."""
+    """The real one; how the others end is in tests/system/test_processes.py."""
     pytest.importorskip("torch")
     (tmp_path / "tmp").mkdir()
     (tmp_path / "trainer.py").write_text(TRAINER)

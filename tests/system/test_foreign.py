@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("mypy", reason="its types say what a system lacks")
 import foreign
 
-SCRIPT = Path(__file__).parent / "support/foreign_script.py"
+SCRIPT = Path(__file__).parents[1] / "support/foreign_script.py"
 COLLECT = "collect --recipe debug --episodes 1 --workers 1 --out set"
 EVERYWHERE = [
     "bench --policy oracle --episodes 2 --workers 2 --clips 0 --out bench",

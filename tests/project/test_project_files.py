@@ -12,7 +12,7 @@ from packaging.requirements import Requirement
 
 import cognitivedrone
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def text(name):

@@ -16,7 +16,7 @@ from cognitivedrone.cli import main
 from cognitivedrone.errors import TaskError
 from cognitivedrone.tasks.format import task_from_json
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted((ROOT / "docs").rglob("*.md"))
 
 

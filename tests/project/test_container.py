@@ -15,7 +15,7 @@ import pytest
 from cognitivedrone.cli import main
 from cognitivedrone.remote.messages import TOKEN_VARIABLE
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 EXTRAS = PROJECT["project"]["optional-dependencies"]
 

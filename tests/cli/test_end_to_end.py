@@ -20,7 +20,7 @@ from cognitivedrone.cli import main
 from cognitivedrone.labels import load_pack
 from cognitivedrone.tasks import SUITES, load_suite
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 PUBLISHED = ROOT.parent / "shared" / "upstream"
 
 

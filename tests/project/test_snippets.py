@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 from typed_commands import typed
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 ELSEWHERE = {
     "gymnasium.md": "envs/test_gymnasium_page.py",

@@ -22,7 +22,7 @@ from cognitivedrone.files.temporary import TemporaryFolder
 from cognitivedrone.rollout import process_pool
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
-SUPPORT = Path(__file__).parent / "support"
+SUPPORT = Path(__file__).parents[1] / "support"
 FLY = ("fly", "--reasoner", "none", "--suite", "open-v1:smoke", "--episode", "0", "--out", "out")
 BENCH = ("bench", "--suite", "open-v1:smoke", "--episodes", "2", "--clips", "0", "--out", "out")
 

@@ -133,5 +133,5 @@ def test_a_script_holds_the_lock_until_it_ends(tmp_path):
 
 
 def test_the_reproduction_takes_it():
-    script = (Path(__file__).parents[1] / "runs" / "reproduce.sh").read_text()
+    script = (Path(__file__).parents[2] / "runs" / "reproduce.sh").read_text()
     assert script.index('-m cognitivedrone.files.locks 9 "$out"') < script.index("train reader")

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 from typed_commands import typed
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text()
 
 
