@@ -25,7 +25,8 @@ ROOT = Path(__file__).resolve().parent.parent
 BIN = "Scripts" if sys.platform == "win32" else "bin"
 EXTRAS = ["mavlink", "ros", "test", "vlm"]  # those that bring no PyTorch and no Ray
 FAST_TESTS = ["benchmark", "contract", "data", "envs", "control", "labels", "models", "policies", "reasoners", "sim"]
-FAST_TESTS += ["tasks", "world", "cli/test_cli.py", "test_errors.py", "test_frames.py", "project/test_imports.py", "test_types.py"]
+FAST_TESTS += ["tasks", "world", "cli/test_cli.py", "project/test_imports.py"]
+FAST_TESTS += ["test_errors.py", "test_frames.py", "test_types.py"]
 WHERE = "import pathlib, cognitivedrone; print(pathlib.Path(cognitivedrone.__file__).parent)"
 
 

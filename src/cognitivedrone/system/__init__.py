@@ -1,4 +1,4 @@
-"""What differs between Linux, macOS and Windows: no other module asks which system this is (`tests/system/test_system.py`).
+"""What differs between Linux, macOS and Windows, the only place that asks which it is (`tests/system/test_system.py`).
 
 Terminals are in `keys.py`. Functions are named for what they do; each says what happens where a system lacks it. Three
 well-kept libraries were weighed: `psutil` is asked for free memory, in an extra that brings it anyway; `filelock` and

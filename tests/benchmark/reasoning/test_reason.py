@@ -271,7 +271,7 @@ def test_the_folder_is_named_after_suite_and_reasoner():
 
 
 def test_the_reasoner_of_the_docs_answers(config, tmp_path, monkeypatch):
-    docs = Path(__file__).parents[2] / "docs"
+    docs = Path(__file__).parents[3] / "docs"
     (code,) = re.findall(
         r"```python title=\"my_reasoner.py\"\n(.*?)```", (docs / "tutorials" / "extend.md").read_text(), flags=re.DOTALL
     )

@@ -39,7 +39,7 @@ from cognitivedrone.training.trainer.training_task import Given, Watched, to_ten
 
 # Trials once, at the end: the rest of the time goes into processes that start.
 RECIPE = replace(RECIPES["debug"], fly_every=6, fly_tasks=1)
-SUPPORT = Path(__file__).parents[1] / "support"
+SUPPORT = Path(__file__).parents[2] / "support"
 
 KILLED = """
 import os, signal, sys

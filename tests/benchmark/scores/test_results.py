@@ -10,7 +10,7 @@ from cognitivedrone.benchmark.runs.runner import run
 from cognitivedrone.benchmark.scores.results import read_results, results_from_json, results_to_json
 from cognitivedrone.errors import RunError
 
-DOCS = Path(__file__).parents[2] / "docs" / "benchmark.md"
+DOCS = Path(__file__).parents[3] / "docs" / "benchmark.md"
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 from cognitivedrone.benchmark.runs.runner import run
 from cognitivedrone.benchmark.scores.published import PUBLISHED, comparable
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 SYSTEMS = {score.name: score for score in PUBLISHED}
 
 

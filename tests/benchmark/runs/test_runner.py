@@ -31,7 +31,7 @@ def in_new_process(config: Plan, runner: str, workers: int) -> subprocess.Comple
     script = f"""
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a test run in the background is started deaf to it
-sys.path.insert(0, {str(Path(__file__).parent)!r})
+sys.path.insert(0, {str(Path(__file__).parents[1])!r})
 from pathlib import Path
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.runs.runner import run
