@@ -2,7 +2,8 @@
 # make test            environment, all checks, all tests
 # make docs            the documentation as a site: build/site/index.html
 # make gate            .ci/run, which every commit of the main branch has passed, from a clean clone of HEAD
-# make release-check   the rest, from a clean clone of HEAD: slow tests, reproduction in small, other Pythons and versions, image, ARM64 in qemu
+# make release-check   the rest, from a clean clone of HEAD: slow tests, reproduction in small, other Pythons and versions, image, ARM64 in qemu;
+#                      STEPS="slow lowest" takes the steps with one of these words alone
 # make test-hard       whether the tests depend on anything but the code: three times, on a busy machine, in random order,
 #                      after a kill; two hours or so. PARTS="tests/files tests/labels" takes these tests alone
 # make lock            constraints.txt from pyproject.toml; UPGRADE=1 takes the newest of everything
@@ -48,7 +49,7 @@ gate:
 	$(PYTHON) scripts/clean_clone.py .ci/run
 
 release-check:
-	$(PYTHON) scripts/clean_clone.py $(PYTHON) scripts/release_check.py
+	$(PYTHON) scripts/clean_clone.py $(PYTHON) scripts/release_check.py $(STEPS)
 
 lock:
 	@$(PYTHON) scripts/setup.py dev

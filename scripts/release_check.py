@@ -1,9 +1,10 @@
 """What .ci/run leaves out, before a release and every night. Standard library only.
 
-Usage: python3 scripts/release_check.py
+Usage: python3 scripts/release_check.py [WORD ...]
 
-Runs in the checkout that it is in; `make release-check` gives it a clean clone. A step that fails stops no other one;
-the table at the end has them all. Exits with 1 if any failed.
+Runs in the checkout that it is in; `make release-check` gives it a clean clone. With WORDs, only the steps whose name
+has one of them, and the environment that they run in. A step that fails stops no other one; the table at the end has
+them all. Exits with 1 if any failed.
 """
 
 from __future__ import annotations
@@ -78,6 +79,19 @@ def steps() -> list[Step]:
     ]
 
 
+def chosen(words: list[str]) -> list[Step]:
+    """The environment, and the steps whose name has one of the words; all without words. Exits if no name has one."""
+    every = steps()
+    for word in words:
+        if not any(word.lower() in step.name.lower() for step in every):
+            sys.exit(f"no step has '{word}' in its name; the steps are: {', '.join(step.name for step in every)}")
+    return [
+        step
+        for number, step in enumerate(every)
+        if not words or number == 0 or any(word.lower() in step.name.lower() for word in words)
+    ]
+
+
 def run(step: Step) -> tuple[str, float]:
     """What came of it, and the seconds it took."""
     if step.missing:
@@ -90,7 +104,7 @@ def run(step: Step) -> tuple[str, float]:
 
 
 def main() -> int:
-    done = [(step.name, *run(step)) for step in steps()]
+    done = [(step.name, *run(step)) for step in chosen(sys.argv[1:])]
     print()
     for name, result, seconds in done:
         print(f"{name:45} {seconds:6.0f} s  {result}")

@@ -1,4 +1,4 @@
-"""How everything around a flying drone is doing at one moment: what the rules of `control/safety.py` decide by."""
+"""How everything around a flying drone is doing at one moment: what the rules of `control/safety` decide by."""
 
 from __future__ import annotations
 
