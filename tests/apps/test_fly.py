@@ -95,7 +95,8 @@ def test_a_flight_in_the_simulator_passes_a_gate_and_is_recorded(tmp_path, capsy
     with av.open(str(out / "camera.mp4")) as film:
         frames = list(film.decode(video=0))
     assert len(frames) == len(steps["time_s"])
-    assert frames[-1].time == pytest.approx(steps["time_s"][-1], abs=0.01)
+    # The film begins with its first frame, whenever that came.
+    assert frames[-1].time == pytest.approx(steps["time_s"][-1] - steps["time_s"][0], abs=0.01)
     assert np.ptp(frames[0].to_ndarray(format="rgb24")) > 100
 
 
