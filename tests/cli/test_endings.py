@@ -62,7 +62,7 @@ def stuck(folder: Path, policy: str, *command: str) -> Iterator[tuple[subprocess
     with started(folder, "-m", "cognitivedrone", *command, "--policy", f"stuck_pilots:{policy}") as process:
         soon(lambda: (folder / "stuck").exists() or process.poll() is not None, LIMIT_S)
         assert process.poll() is None, process.communicate()[0]
-        yield process, int((folder / "stuck").read_text())
+        yield process, stuck_pilots.hanging(folder / "stuck", LIMIT_S)
 
 
 @pytest.mark.parametrize("policy", ["InForeignCode", "Deaf"])
