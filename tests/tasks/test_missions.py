@@ -249,6 +249,8 @@ def test_steps_of_a_calculation_or_a_story_are_no_mission(sentence):
         "start with a and end with ",
         " in that order",
         "the dog but first ",
+        "before the cat, ",
+        "start with the cat and end with ",
     ],
 )
 def test_a_long_sentence_of_anything_is_cut_or_left_alone(part):

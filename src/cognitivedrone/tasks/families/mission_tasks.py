@@ -66,7 +66,7 @@ def mission_tracks(rng: np.random.Generator) -> Iterator[list[Task]]:
 
 def typed_missions() -> list[list[str]]:
     """Each sentence that people typed, and its stages as they are written in `typed_missions.txt`."""
-    text = resources.files("cognitivedrone.tasks").joinpath("typed_missions.txt").read_text(encoding="utf-8")
+    text = resources.files("cognitivedrone.tasks.missions").joinpath("typed_missions.txt").read_text(encoding="utf-8")
     return [line.split(" | ") for line in text.splitlines() if line and not line.startswith("#")]
 
 

@@ -1,4 +1,4 @@
-"""Missions: one sentence for a whole flight, cut into sub-goals, one for each stage. Pure text.
+"""How a mission is cut into its sub-goals.
 
 "First the cat, then whatever it eats, then land on the blue pad" is three sub-goals. A sentence without any sign of an
 order is one sub-goal, and stays as it is.
@@ -12,12 +12,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
-from cognitivedrone.tasks import mission_patterns as patterns
+from cognitivedrone.tasks.missions import patterns
 from cognitivedrone.types import COLORS, Color, SubGoal
 
 LONGEST: Final = 12
 """Sub-goals of one mission."""
 _MANY = 1000  # of more sub-goals, no more are counted
+_DEEPEST = 2 * LONGEST  # of parts within parts; what is deeper stays one
 
 
 def pad_directive(color: Color | None) -> str:
@@ -84,46 +85,43 @@ def problem_of(goals: Sequence[SubGoal]) -> str:
     return ""
 
 
-def _pieces(text: str) -> list[str]:
+def _pieces(text: str, depth: int = 0) -> list[str]:
     """The parts of a sentence, in the order in which they are to be done."""
+    if depth > _DEEPEST:
+        return [text]
     begun = patterns.FIRST.sub("", patterns.CALL.sub("", text))
     conditional = re.search(rf"\bif\b.*{patterns.ELSE}", begun, re.I)
     numbered = patterns.NUMBERED.split(text)[::4]
     if len(numbered) > 2 and not numbered[0].strip(" ,.;:"):
-        return [part for each in numbered[1:] for part in _pieces(each)]
-    in_order = _in_order(begun)
-    if not conditional and len(in_order) > 1:
-        return in_order
-    if not conditional and (swapped := _swapped(begun) or _ends(text)):
-        return [part for each in swapped for part in _pieces(each)]
+        return [part for each in numbered[1:] for part in _pieces(each, depth + 1)]
+    if not conditional:
+        if in_order := _in_order(begun):
+            return in_order
+        if swapped := _swapped(begun) or _ends(text):
+            return [part for each in swapped for part in _pieces(each, depth + 1)]
     cut = patterns.AND_ON if patterns.CORRECTED.search(begun) else patterns.ON
     steps = cut.split(begun) if not conditional and patterns.FLIES.match(begun) else [begun]
     parts = [part for step in steps for part in patterns.NEXT.split(_hidden(step)) if part and part.strip(" ,;.!?")]
-    listed = (
-        re.split(r",\s*(?:and\s+)?", parts[0])
-        if len(parts) == 2 and not conditional and patterns.LAND.match(parts[1].strip())
-        else []
-    )
-    route = (
-        re.split(r",\s*(?:and\s+)?", begun) if begun != text and re.search(r"\b(?:route|tour|order)\b", text) else []
-    )
-    if (
-        len(parts) == 2
-        and not listed
-        and not conditional
-        and patterns.FLIES.match(begun)
-        and all(re.match(r"(?:the|a|an)\s", part, re.I) for part in (*parts[0].split(", ")[1:], parts[1]))
-    ):
-        listed = parts[0].split(", ")
-    if len(listed) > 1 and all(len(part.split()) <= 5 for part in listed):
-        parts = [*listed, parts[1]]
-    elif len(route) > 1:
-        parts = route
+    if not conditional and len(parts) == 2 and (listed := _before_the_last(begun, *parts)):
+        parts = listed
+    elif begun != text and patterns.ROUTE.search(text) and len(stops := patterns.COMMA.split(begun)) > 1:
+        parts = stops
     if len(parts) == 2 and begun == text and not conditional and _is_story(begun, parts):
         return [text]
     if len(parts) < 2:
         return [begun if conditional or (parts and patterns.LAND.match(parts[0])) else text]
     return [part.replace("\0", "then") for part in parts]
+
+
+def _before_the_last(text: str, first: str, last: str) -> list[str]:
+    """The parts of "lion, tiger, touch down" and of "fly to the lion, the tiger, then the dog"; none of any other."""
+    if patterns.LAND.match(last.strip()):
+        listed = patterns.COMMA.split(first)
+    else:
+        listed = first.split(", ")
+        if not patterns.FLIES.match(text) or not all(map(patterns.ARTICLE.match, (*listed[1:], last))):
+            return []
+    return [*listed, last] if len(listed) > 1 and all(len(part.split()) <= 5 for part in listed) else []
 
 
 def _is_story(text: str, parts: Sequence[str]) -> bool:
@@ -175,7 +173,7 @@ def _in_order(text: str) -> list[str]:
     """The parts of a list of short names that ends with "in that order"; none of any other sentence."""
     found = patterns.IN_ORDER.match(text)
     parts = patterns.LISTED.split(patterns.WANTED.sub("", found["all"])) if found else []
-    return parts if all(len(part.split()) <= 5 for part in parts) else []
+    return parts if len(parts) > 1 and all(len(part.split()) <= 5 for part in parts) else []
 
 
 def _hidden(text: str) -> str:

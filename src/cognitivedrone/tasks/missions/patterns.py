@@ -1,6 +1,6 @@
 """The words that cut a mission into its parts: patterns of what people say between two orders, before and after them.
 
-`missions` applies them. All ignore case; none takes more than linear time in a sentence's length.
+`cutting` applies them. All ignore case.
 """
 
 from __future__ import annotations
@@ -157,7 +157,9 @@ START_AND_END = re.compile(
 IN_ORDER = re.compile(r"^(?P<all>.+?),?\s+in\s+(?:that|this|the\s+given)\s+(?:order|sequence)\W*$", re.I)
 WANTED = re.compile(rf"^(?:please\s+)?(?:i\s+want|give\s+me|{GO}(?:\s+(?:to|through|thru))?)\s+", re.I)
 LISTED = re.compile(r",\s*(?:and\s+)?|\s+and\s+")
-
+COMMA = re.compile(r",\s*(?:and\s+)?")
+ARTICLE = re.compile(r"(?:the|a|an)\s", re.I)
+ROUTE = re.compile(r"\b(?:route|tour|order)\b")
 ORDINAL = re.compile(
     r"^(?P<one>[\w\s']{2,40}?)\s+first\b(?!\s+(?:letter|name|of|place))[,\s]*(?:and\s+|then\s+)?(?P<two>[\w\s']{2,40}?)"
     r"(?:\s+(?:second|next|after(?:\s+(?:that|it))?|afterwards|last))\W*$|"
