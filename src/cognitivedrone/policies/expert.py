@@ -21,6 +21,7 @@ from cognitivedrone.types import (
     GroundTruth,
     Observation,
     Scalars,
+    Stage,
     Vector,
     Vectors,
 )
@@ -133,7 +134,11 @@ def intent(
     (..., 3), world, m and m/s; yaw of the drone and of the gate's outward normal (...,), rad.
     """
     normal = np.stack([np.cos(gate_yaw), np.sin(gate_yaw), np.zeros_like(gate_yaw)], axis=-1)
-    wanted = wish(position + velocity * config.lag_s, gate, normal, config)
+    return command_for(wish(position + velocity * config.lag_s, gate, normal, config), yaw, config)
+
+
+def command_for(wanted: Vectors, yaw: Scalars, config: ExpertConfig) -> Commands:
+    """The command (..., 4) for velocities (..., 3), world, m/s, of drones that head for `yaw` (...,), rad."""
     return np.concatenate([world_to_heading(wanted, yaw), turn_rate(wanted, yaw, config)[..., None]], axis=-1)
 
 
@@ -147,15 +152,15 @@ def within(vector: FloatArray, limit: float) -> FloatArray:
 class Detour:
     """The way around what is in the way, for one stage."""
 
-    def __init__(self, truth: GroundTruth, target: int, config: ExpertConfig) -> None:
-        stage = truth.stage
+    def __init__(self, stage: Stage, target: int, hull_radius: float, start: Vector, config: ExpertConfig) -> None:
+        """Ways to the gate `target` with the widest margin that leaves one from `start` (3,), world, m."""
         self._config = config
         self._last: int | None = None  # the point that was flown to
         self._origin, self._yaw = np.array([*stage.origin, 0.0]), stage.yaw
         for spare in _SPARES_M:
-            margin = truth.hull_radius + spare
+            margin = hull_radius + spare
             self._ways = ways_to(target, stage.obstacles, stage.landmark, stage.layout, margin, stage.only)
-            if self._ways.ahead(self._local(truth.state().position)) is not None:
+            if self._ways.ahead(self._local(start)) is not None:
                 break
         centers, yaws = gate_places(stage.layout)
         self._gate, heading = centers[target], yaws[target]
@@ -165,10 +170,15 @@ class Detour:
     def of(cls, truth: GroundTruth, config: ExpertConfig) -> Detour | None:
         """None where nothing is in the way of a gate."""
         stage, target = truth.stage, truth.task.target
-        return cls(truth, target, config) if target is not None and (stage.obstacles or stage.landmark) else None
+        if target is None or not (stage.obstacles or stage.landmark):
+            return None
+        return cls(stage, target, truth.hull_radius, truth.state().position, config)
 
-    def wish(self, position: Vector, velocity: Vector) -> Vectors | None:
-        """The velocity (3,) along the way, world, m/s; none where the ordinary path to the gate is clear."""
+    def wish(self, position: Vector, velocity: Vector, *, flying: bool = True) -> Vectors | None:
+        """The velocity (3,) along the way, world, m/s; none where the ordinary path to the gate is clear.
+
+        A drone that is `flying` stays on the way that it was led before; else the answer depends on this state alone.
+        """
         config = self._config
         here, motion = self._local(position), world_to_heading(velocity, self._yaw)
         start = here + motion * config.lag_s
@@ -184,10 +194,12 @@ class Detour:
                 break
         if self._is_clear(start):
             return None
-        self._last = self._ways.ahead(start, self._last)
-        if self._last is None:
+        following = self._ways.ahead(start, self._last if flying else None)
+        if flying:
+            self._last = following
+        if following is None:
             return None
-        point, after = self._ways.points[self._last], int(self._ways.following[self._last])
+        point, after = self._ways.points[following], int(self._ways.following[following])
         aim, later = point - start, self._ways.points[after] - point if after >= 0 else self._normal
         distance = max(float(np.linalg.norm(aim)), 1e-6)
         turn = float(aim @ later) / (distance * max(float(np.linalg.norm(later)), 1e-6))

@@ -14,7 +14,7 @@ from cognitivedrone.frames import quaternion_from_yaw, rotate_yaw
 from cognitivedrone.policies.expert import ExpertConfig, intent
 from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.training.perception.ground_truth import COMMITTED, LEGIBLE_HEIGHT, Poses, Truths, project, truths
-from cognitivedrone.types import ACTION_LIMITS, IMAGE_SIZE, FloatArray, Gate, GatePlace, Image, Stage
+from cognitivedrone.types import ACTION_LIMITS, IMAGE_SIZE, FloatArray, Gate, GatePlace, Image, Obstacle, Stage
 from cognitivedrone.world import geometry
 
 STAGE = Stage(
@@ -142,6 +142,15 @@ def test_one_gate_can_leave_the_view_alone() -> None:
 
 def test_nobody_reads_a_board_that_does_not_hang() -> None:
     assert known(at(*geometry.START)).legible.tolist() == [[True, True, True, False]]
+
+
+def test_a_panel_behind_an_obstacle_is_not_legible() -> None:
+    x, y, z = geometry.START
+    hidden = replace(TURNED, obstacles=(Obstacle("wall", x + 1.5, y, 1.0, 2.5, 0.1),))
+    away = rotate_yaw(np.array([x, y, z]), TURNED.yaw) + np.array([*TURNED.origin, 0.0])
+    poses = at(*away, yaw=TURNED.yaw)
+    assert known(poses, TURNED).legible.tolist() == [[True, True, True, False]]
+    assert known(poses, hidden).legible.tolist() == [[True, False, True, False]]
 
 
 def test_far_panels_are_in_view_and_not_legible() -> None:

@@ -4,13 +4,14 @@ toward each gate. Vectorised over frames.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.frames import rotate_yaw, rotation_matrix, world_to_heading, wrap_angle, yaw_of
-from cognitivedrone.policies.expert import ExpertConfig, intent
+from cognitivedrone.policies.expert import Detour, ExpertConfig, command_for, intent
 from cognitivedrone.sim.drawing.views import FOCAL_PX, MOUNT
 from cognitivedrone.types import ACTION_LIMITS, CONTROL_HZ, IMAGE_SIZE, FloatArray, Stage
 from cognitivedrone.world import geometry
@@ -76,8 +77,13 @@ def project(points: FloatArray, position: FloatArray, quaternion: FloatArray) ->
     return np.stack([u, v, body[..., 0]], axis=-1)
 
 
-def truths(poses: Poses, stages: list[Stage], chunk: int, expert: ExpertConfig) -> Truths:
-    """Ground truth of the frames of drones at `poses`, each in its own stage."""
+def truths(
+    poses: Poses, stages: list[Stage], chunk: int, expert: ExpertConfig, detours: Sequence[Sequence[Detour]] = ()
+) -> Truths:
+    """Ground truth of the frames of drones at `poses`, each in its own stage.
+
+    `detours` are, for each drone, those to the three gates, or none where nothing is in the way.
+    """
     centers = np.stack([geometry.gate_centers(stage) for stage in stages])
     yaws = np.stack([geometry.gate_yaws(stage) for stage in stages])
     stands = np.array([[index in geometry.standing(stage) for index in range(3)] for stage in stages])
@@ -96,7 +102,7 @@ def truths(poses: Poses, stages: list[Stage], chunk: int, expert: ExpertConfig) 
     panel, legible = _panels(poses, stages)
     panelled = np.array([[index in geometry.panelled(stage) for index in range(3)] for stage in stages])
     legible[:, :3] &= panelled & (ahead_m > 0)
-    action = _chunks(poses, heading, centers, yaws, chunk, expert)
+    action = _chunks(poses, heading, centers, yaws, chunk, expert, detours)
     return Truths(
         gate=gate[..., :2].astype(np.float32),
         in_view=in_view,
@@ -129,6 +135,10 @@ def _panels(poses: Poses, stages: list[Stage]) -> tuple[NDArray[np.float32], NDA
     near = np.minimum(np.minimum(top[..., 2], bottom[..., 2]), middle[..., 2])
     legible = (near > _NEAREST) & (height >= LEGIBLE_HEIGHT) & (share >= LEGIBLE_SHARE)
     legible[:, 3] &= np.array([stage.board is not None for stage in stages])
+    for row, stage in enumerate(stages):
+        if stage.obstacles:
+            eyes = np.broadcast_to(poses.position[row], middles[row].shape)
+            legible[row] &= ~geometry.solids(stage).blocked(eyes, middles[row], 0.0)
     return np.stack([u, v, height], axis=-1).clip(-2000, 2000).astype(np.float32), legible
 
 
@@ -140,7 +150,13 @@ def _overlap(middle: FloatArray, size: FloatArray) -> FloatArray:
 
 
 def _chunks(
-    poses: Poses, heading: FloatArray, centers: FloatArray, yaws: FloatArray, chunk: int, expert: ExpertConfig
+    poses: Poses,
+    heading: FloatArray,
+    centers: FloatArray,
+    yaws: FloatArray,
+    chunk: int,
+    expert: ExpertConfig,
+    detours: Sequence[Sequence[Detour]],
 ) -> NDArray[np.float32]:
     """The expert's actions (n, 3, chunk, 4) toward each gate; those after the first at predicted states, from a simple
     model of the drone whose velocity follows the command with a lag.
@@ -151,7 +167,12 @@ def _chunks(
     limits, period = np.array(ACTION_LIMITS), 1 / CONTROL_HZ
     actions = []
     for _ in range(chunk):
-        action = np.clip(intent(position, velocity, yaw, centers, yaws, expert), -limits, limits)
+        action = intent(position, velocity, yaw, centers, yaws, expert)
+        for row, gate in ((row, gate) for row, ways in enumerate(detours) for gate in range(len(ways))):
+            wanted = detours[row][gate].wish(position[row, gate], velocity[row, gate], flying=False)
+            if wanted is not None:
+                action[row, gate] = command_for(wanted, yaw[row, gate], expert)
+        action = np.clip(action, -limits, limits)
         actions.append(action)
         wanted = rotate_yaw(action[..., :3], yaw)
         velocity = velocity + (wanted - velocity) * (1 - np.exp(-period / _LAG_S))

@@ -53,6 +53,15 @@ PLACES = replace(
 frame: language is frozen, and reading them would take three times as long as drawing and flying."""
 
 
+OBSTACLES = replace(
+    PLACES,
+    name="obstacles",
+    stream=StreamRecipe(typed=0.5, layouts=0.7, obstacles=0.3, places=0.5, sentences=1, height_error_m=0.3),
+)
+"""Gates stand anywhere, often behind obstacles, and the height told is wrong: what is seen of a gate tells how high it
+is."""
+
+
 @dataclass(frozen=True)
 class FlightTraining(PolicyTraining):
     """A small VLA whose language and panel reader are frozen."""

@@ -71,7 +71,7 @@ class Recorded:
     def _setting(self, row: int) -> Setting:
         if row not in self._settings:
             task = self._tasks[row]
-            self._settings[row] = Setting(task, stage_of(task), right_gate(task))
+            self._settings[row] = Setting(task, stage_of(task), right_gate(task), self._recipe.expert)
         return self._settings[row]
 
 

@@ -22,10 +22,11 @@ from cognitivedrone.envs.worlds import Worlds
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.labels import load_pack
 from cognitivedrone.layout import draw_layout
-from cognitivedrone.policies.expert import intent
+from cognitivedrone.policies.expert import ExpertConfig, command_for, intent
 from cognitivedrone.sim.airframe import RACER
 from cognitivedrone.sim.drone_world import Start
 from cognitivedrone.tasks import train_task
+from cognitivedrone.tasks.families.clutter import KINDS, cluttered
 from cognitivedrone.tasks.families.racing import crowded_task, race_task
 from cognitivedrone.tasks.validate import right_gate
 from cognitivedrone.training.perception.ground_truth import Poses
@@ -43,8 +44,18 @@ _BOUND_M = 9.0  # beyond this distance from the stage's origin there is nothing 
 class _Flight(Setting):
     """One flight in progress."""
 
-    def __init__(self, task: Task, stage: Stage, flown: int, *, learner: bool, wander: float, speed: float) -> None:
-        super().__init__(task, stage, flown)
+    def __init__(
+        self,
+        task: Task,
+        stage: Stage,
+        flown: int,
+        expert: ExpertConfig,
+        *,
+        learner: bool,
+        wander: float,
+        speed: float,
+    ) -> None:
+        super().__init__(task, stage, flown, expert)
         self.learner = learner
         self.wander = wander
         self.speed = speed
@@ -95,9 +106,11 @@ class RolloutStream:
         if recipe.suite == "race":
             make = crowded_task if rng.random() < recipe.crowded else race_task
         task = make(int(rng.integers(2**31)), 0)
-        # A share of zero draws nothing: the recipes without layouts or places stay as they are, to the bit.
+        # A share of zero draws nothing: the recipes without layouts, obstacles or places stay as they are, to the bit.
         if recipe.layouts and rng.random() < recipe.layouts:
             task = replace(task, layout=draw_layout(rng, task.gates, board=task.board is not None))
+        if recipe.obstacles and rng.random() < recipe.obstacles:
+            task = cluttered(rng, task, KINDS[rng.integers(len(KINDS))], int(rng.integers(2, 9)))
         if recipe.places and rng.random() < recipe.places:
             appearance = photo_appearance(rng, names("training"))
         else:
@@ -113,7 +126,7 @@ class RolloutStream:
         flown = right_gate(task) if learner or not others or rng.random() < 0.5 else int(rng.choice(others))
         wander = float(rng.uniform(0.3, 1.2)) if rng.random() < recipe.wander else 0.0
         speed = float(rng.uniform(1.3, 1.8))
-        return _Flight(task, stage, flown, learner=learner, wander=wander, speed=speed)
+        return _Flight(task, stage, flown, recipe.expert, learner=learner, wander=wander, speed=speed)
 
     def _draw_start(self) -> tuple[Start, FloatArray]:
         """Initial conditions of a flight, and its velocity, heading frame, m/s."""
@@ -163,6 +176,10 @@ class RolloutStream:
         actions = intent(flight.position, flight.velocity, flight.yaw, centers, yaws, self.recipe.expert)
         kicks = self._rng.standard_normal((len(flights), 4)) * (1.0, 1.0, 0.6, 0.8)
         for world, each in enumerate(flights):
+            if each.detours:
+                wanted = each.detours[each.flown].wish(flight.position[world], flight.velocity[world])
+                if wanted is not None:
+                    actions[world] = command_for(wanted, flight.yaw[world], self.recipe.expert)
             actions[world, :3] *= each.speed / self.recipe.expert.speed_m_s
             # Random wrong command, correlated over half a second, with the standard deviation `wander`.
             each.wrong = 0.82 * each.wrong + 0.57 * each.wander * kicks[world]
