@@ -84,7 +84,8 @@ def chosen(words: list[str]) -> list[Step]:
     every = steps()
     for word in words:
         if not any(word.lower() in step.name.lower() for step in every):
-            sys.exit(f"no step has '{word}' in its name; the steps are: {', '.join(step.name for step in every)}")
+            names = "".join(f"\n  {step.name}" for step in every)
+            sys.exit(f"no step has '{word}' in its name; the steps are:{names}")
     return [
         step
         for number, step in enumerate(every)

@@ -115,8 +115,8 @@ def main() -> None:
     copy_sources(system / "opt" / "cognitivedrone")
     here = ["chroot", system]
     step("environment", *here, "python3", "-m", "venv", "--clear", "/opt/venv")
-    source = "/opt/cognitivedrone[serve,mavlink]"
-    step("installation", *here, "/opt/venv/bin/pip", "install", "--quiet", "--only-binary", ":all:", source)
+    install = ["/opt/venv/bin/pip", "install", "--quiet", "--no-compile", "--only-binary", ":all:"]
+    step("installation", *here, *install, "/opt/cognitivedrone[serve,mavlink]")
     fly = ["/opt/venv/bin/cognitivedrone", "bench", "--suite", "open-v1:smoke", "--policy", "small"]
     fly += ["--workers", "1", "--clips", "0"]
     step("tasks", *here, *fly, "--episodes", options.episodes, "--out", "/opt/smoke", "--overwrite")

@@ -59,5 +59,5 @@ def test_a_word_of_no_step_is_refused_with_the_steps(check):
     with pytest.raises(SystemExit) as refused:
         check.chosen(["slow", "fastest"])
     assert str(refused.value).startswith(
-        "no step has 'fastest' in its name; the steps are: environment from the lock file, slow tests"
+        "no step has 'fastest' in its name; the steps are:\n  environment from the lock file\n  slow tests\n"
     )

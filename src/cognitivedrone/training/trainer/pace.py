@@ -45,7 +45,7 @@ class Pace:
         """`steps_per_s`, and as `waiting` the share of the time in which the device waited for batches, 0 to 1."""
         if self._on_card:
             torch.cuda.synchronize()
-        seconds = time.monotonic() - self._since
+        seconds = max(time.monotonic() - self._since, 1e-9)  # the clock may not have moved
         waited = sum(map(self._between, *zip(*self._waits, strict=True))) if self._waits else 0.0
         return {"steps_per_s": self._steps / seconds, "waiting": min(waited / seconds, 1.0)}
 
