@@ -27,7 +27,8 @@ FORMAT = """
 import subprocess, sys
 from cognitivedrone.data.formats import EXPORTS, IMPORTS
 assert "npz" in EXPORTS and "npz" in IMPORTS
-tests = ["-q", "-p", "no:cacheprovider", "-c", {config!r}, {tests!r}, "-k", "npz or every_export"]
+# A folder of its own: beside the others, it would first remove what earlier runs have left there.
+tests = ["-q", "-p", "no:cacheprovider", "--basetemp", "kept", "-c", {config!r}, {tests!r}, "-k", "npz or every_export"]
 sys.exit(subprocess.run([sys.executable, "-m", "pytest", *tests]).returncode)
 """
 FAMILY = """
@@ -55,9 +56,12 @@ def examples() -> dict[str, str]:
 
 
 def linked(folder: Path) -> Path:
-    """A copy of the package whose files are links, so that they can be replaced one by one."""
+    """A copy of the package whose files are links, so that they can be replaced one by one.
+
+    Compiled ones, too: no process has to compile the whole package again.
+    """
     for path in (ROOT / SOURCE).rglob("*"):
-        if path.is_file() and "__pycache__" not in path.parts:
+        if path.is_file():
             copy = folder / path.relative_to(ROOT)
             copy.parent.mkdir(parents=True, exist_ok=True)
             copy.symlink_to(path)
