@@ -19,6 +19,7 @@ from torch import Tensor, nn
 
 from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.eyes.finder import (
+    CELLS,
     GEOMETRY,
     LOOKS,
     SLOTS,
@@ -58,6 +59,8 @@ class SmallVLAConfig:
     language: LanguageConfig = field(default_factory=LanguageConfig)
     head: Head = "regression"
     bins: int = 256
+    surroundings: int = 0
+    """Channels of a coarse map of the whole frame, from which the actions learn of obstacles; 0 for none."""
     chunk: int = 1
     """Control steps per inference."""
     action_low: tuple[float, ...] = (-2.0, -2.0, -1.5, -1.0)
@@ -90,8 +93,10 @@ class Flight(nn.Module):
         self.prior = nn.Sequential(nn.Linear(third + GEOMETRY + STATE, 64), nn.ReLU(), nn.Linear(64, 1))
         self.nowhere = nn.Sequential(nn.Linear(third + STATE, 64), nn.ReLU(), nn.Linear(64, 1))
         outputs = config.bins if config.head == "tokens" else 1
+        self.around = _coarse_map(third, config.surroundings) if config.surroundings else None
+        mapped = config.surroundings * (CELLS // 2) ** 2
         self.action = nn.Sequential(
-            nn.Linear(2 * third + GEOMETRY + STATE, 256),
+            nn.Linear(2 * third + GEOMETRY + STATE + mapped, 256),
             nn.ReLU(),
             nn.Linear(256, 256),
             nn.ReLU(),
@@ -117,7 +122,10 @@ class Flight(nn.Module):
         target = torch.cat([seen.cell, torch.zeros_like(seen.cell[:, :1])], dim=1)
         geometry = torch.cat([seen.geometry, nothing], dim=1)
         whole = seen.whole[:, None].expand(-1, SLOTS + 1, -1)
-        raw: Tensor = self.action(torch.cat([target, whole, geometry, self._state(state, SLOTS + 1)], dim=-1))
+        known = [target, whole, geometry, self._state(state, SLOTS + 1)]
+        if self.around is not None:
+            known.append(self.around(seen.features)[:, None].expand(-1, SLOTS + 1, -1))
+        raw: Tensor = self.action(torch.cat(known, dim=-1))
         return raw.view(state.shape[0], SLOTS + 1, self.config.chunk, 4, -1)
 
     def decode(self, raw: Tensor) -> Tensor:
@@ -132,6 +140,11 @@ class Flight(nn.Module):
     def _state(self, state: Tensor, count: int | None = None) -> Tensor:
         scaled = state / self.state_scale
         return scaled if count is None else scaled[:, None].expand(-1, count, -1)
+
+
+def _coarse_map(features: int, channels: int) -> nn.Sequential:
+    """From the features of all cells, a flat map of half as many rows and columns."""
+    return nn.Sequential(nn.Conv2d(features, channels, 1), nn.ReLU(), nn.AvgPool2d(2), nn.Flatten())
 
 
 class SmallVLA(nn.Module):

@@ -82,6 +82,8 @@ class Seen(NamedTuple):
     """(B, 3), see `BOARD`."""
     looks: Tensor
     """(B, S, 8) logits, see `LOOKS`."""
+    features: Tensor
+    """(B, C, n, n) of all cells."""
 
 
 Boxes: TypeAlias = Tensor
@@ -133,7 +135,8 @@ class Finder(nn.Module):
         flat = scene.features.flatten(2).transpose(1, 2)
         cell = flat.gather(1, slots.cells[:, :, None].expand(-1, -1, flat.shape[2]))
         board = flat.gather(1, slots.board_cell[:, None, None].expand(-1, 1, flat.shape[2]))[:, 0]
-        return Seen(cell, flat.mean(dim=1), self.place(cell), self.board_place(board), self.looks(cell))
+        looks = self.looks(cell)
+        return Seen(cell, flat.mean(dim=1), self.place(cell), self.board_place(board), looks, scene.features)
 
 
 def gate_boxes(slots: Slots, seen: Seen) -> Boxes:
