@@ -52,6 +52,7 @@ AnswerKind = Literal["adopted", "agreed", "kept"]
 EventKind = (
     Literal[
         "segment",
+        "corrected",
         "asked",
         "stale",
         "late",
@@ -69,11 +70,12 @@ EventKind = (
     | AnswerKind
     | ReasonerFault
 )
-"""What happened in a flight: a new instruction, a question, an answer to an earlier instruction, a missed deadline,
-that the reasoner has been late for so long that the policy flies without it (`unaided`), what the filter did with an
-answer, the pilot reports that no gate matches the instruction (`declined`), and no longer does (`resumed`), the policy
-only holds the position because its server does not answer (`lost`), and no longer does (`back`). `fly` adds the safety
-rules' decisions, `hold` and `sure` (it hovers because the reasoner is unsure, and flies on), and the flight's end."""
+"""What happened in a flight: a new instruction, another gate is wanted for it (`corrected`), a question, an answer to
+an earlier instruction, a missed deadline, that the reasoner has been late for so long that the policy flies without it
+(`unaided`), what the filter did with an answer, the pilot reports that no gate matches the instruction (`declined`),
+and no longer does (`resumed`), the policy only holds the position because its server does not answer (`lost`), and no
+longer does (`back`). `fly` adds the safety rules' decisions, `hold` and `sure` (it hovers because the reasoner is
+unsure, and flies on), and the flight's end."""
 
 DecisionKind = Literal["fly", "hold", "brake", "land", "hands_off"]
 """Decisions of the safety rules, from mildest to strictest; `hands_off` leaves the vehicle to its pilot."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 
+import pyarrow.parquet as pq
 import pytest
 
 from cognitivedrone.apps.config import FlyPlan
@@ -14,6 +15,7 @@ from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.pilot import Pilot
 from cognitivedrone.play.board import goals_of, goals_table
 from cognitivedrone.policies import make_policy
+from cognitivedrone.tasks.directives import parse_directive
 from cognitivedrone.tasks.missions import sub_goals
 from cognitivedrone.terminal import console
 from cognitivedrone.types import SubGoal
@@ -70,25 +72,51 @@ def test_a_scene_is_made_that_is_read_at_every_stage_and_from_nearer_too(tmp_pat
 
 
 class Typed(Orders):
-    """A sentence that is typed at the tenth step."""
+    """Sentences that are typed at certain steps."""
 
-    steps = 0
+    def __init__(self, **lines):
+        super().__init__()
+        self.lines, self.steps = lines, 0
 
     @property
     def given(self) -> tuple[int, str]:
         self.steps += 1
-        if self.steps == 10:
-            self.say("land on the red pad, please")
+        if line := self.lines.get(f"at_{self.steps}"):
+            self.say(line)
         return super().given
 
 
 def test_a_landing_that_is_typed_where_there_is_no_pad_ends_the_flight_there(tmp_path):
     plan = FlyPlan.of(instruction="the elephant", out=tmp_path / "out", film=False, view=False)
     quiet = console(file=io.StringIO())
-    summary = fly_mission(plan, console=quiet, keyboard=io.StringIO(), pace="lockstep", orders=Typed())
+    orders = Typed(at_10="land on the red pad, please")
+    summary = fly_mission(plan, console=quiet, keyboard=io.StringIO(), pace="lockstep", orders=orders)
     assert (summary.ending.kind, summary.exit_code) == ("ordered", 0)
     assert "there is no pad here" in summary.ending.reason
     assert summary.seconds < 1.5
+
+
+@pytest.mark.parametrize(
+    "corrections", [{"at_15": "no, the other one"}, {"at_12": "wrong one!", "at_24": "not that one"}]
+)
+def test_another_gate_is_flown_through_when_a_person_says_so(tmp_path, corrections):
+    plan = FlyPlan.of(instruction="the elephant", out=tmp_path / "out", film=False, view=False)
+    quiet = console(file=io.StringIO())
+    orders = Typed(**corrections)
+    summary = fly_mission(plan, console=quiet, keyboard=io.StringIO(), pace="lockstep", orders=orders)
+    (result,), (task,) = summary.results, summary.track
+    assert (result.outcome, summary.ending.kind) == ("wrong_gate", "flown")
+    assert "you judge" in summary.ending.reason
+    given = pq.read_table(tmp_path / "out" / "steps.parquet").to_pydict()["directive"]
+    first, *others = dict.fromkeys(parse_directive(directive)[1] for directive in given if directive)
+    assert first == task.gates[task.target].color
+    assert len(others) >= len(corrections)  # nothing fits them well
+    events = pq.read_table(tmp_path / "out" / "events.parquet").to_pylist()
+    kinds = [event["kind"] for event in events]
+    assert kinds.count("segment") == 1
+    assert kinds.count("corrected") == len(corrections)
+    assert "hold" not in kinds
+    assert task.gates[result.chosen].color in others[len(corrections) - 1 :]
 
 
 def test_a_real_vehicle_does_not_land_on_pads(tmp_path):

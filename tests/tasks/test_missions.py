@@ -9,7 +9,7 @@ from cognitivedrone.tasks import SUITES, load_suite
 from cognitivedrone.tasks.build import build_suite
 from cognitivedrone.tasks.families.mission_tasks import landing_task
 from cognitivedrone.tasks.format import task_from_json, task_to_json
-from cognitivedrone.tasks.missions import is_mission, lands, pad_directive, problem_of, sub_goals
+from cognitivedrone.tasks.missions import is_mission, lands, pad_directive, problem_of, rejects, sub_goals
 from cognitivedrone.tasks.suites import train_task
 
 MISSIONS = "open-v3:missions"
@@ -258,6 +258,31 @@ def test_a_long_sentence_of_anything_is_cut_or_left_alone(part):
     goals = sub_goals(part * (20_000 // len(part)))
     assert len(goals) >= 1
     assert all(goal.kind == "fly" for goal in goals)
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "no, the other one", "No!", "nope", "not that one", "wrong one", "that's the wrong gate",
+        "no no, the other gate", "the other one please", "take the other one", "another one",
+        "no, I meant the other one", "stop, not this one",
+        "it's not that one", "no wait, go to the other one", "oops, wrong", "try a different gate instead",
+    ],
+)  # fmt: skip
+def test_a_sentence_that_only_rejects_a_gate_is_known(sentence):
+    assert rejects(sentence)
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "no, the cat", "the other cat", "land", "stop", "wait", "not the red one", "the cat, no, the dog",
+        "no, the red one", "fly to the other animal", "", "sorry", "the wrong answer", "no red gates", "hey",
+        "no " * 5000,
+    ],
+)  # fmt: skip
+def test_a_sentence_that_asks_for_something_rejects_nothing_else(sentence):
+    assert not rejects(sentence)
 
 
 def test_a_condition_is_one_sub_goal_with_another_way():

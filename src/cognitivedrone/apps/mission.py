@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from cognitivedrone.apps.config import FlyPlan
 from cognitivedrone.apps.ending import ending_of, flown_by_estimate, out_of_time
@@ -16,10 +16,29 @@ from cognitivedrone.control.passage import Passage
 from cognitivedrone.control.planning import Plans
 from cognitivedrone.control.second_look import SecondLook
 from cognitivedrone.interfaces import Drone
-from cognitivedrone.tasks.directives import HOLD
-from cognitivedrone.tasks.missions import is_mission, sub_goals
-from cognitivedrone.types import Action, Event, Guidance, Observation, SubGoal
+from cognitivedrone.tasks.directives import HOLD, parse_directive
+from cognitivedrone.tasks.missions import is_mission, rejects, sub_goals
+from cognitivedrone.types import Action, Color, Event, Guidance, Observation, SubGoal
 from cognitivedrone.vehicles.contract import Vehicle
+
+
+@dataclass(frozen=True, slots=True)
+class _Order:
+    """What the user wants."""
+
+    sentence: str
+    lines: int = 0
+    """Typed so far."""
+    number: int = 0
+    """Of the sentences before it."""
+    began: int = 0
+    """The stage at which it was given."""
+    corrections: tuple[str, ...] = ()
+    """Every "no, the other one" since."""
+    corrected: int | None = None
+    """The stage at which that was said."""
+    avoid: frozenset[Color] = frozenset()
+    """The gates of that stage that were not meant."""
 
 
 class Mission:
@@ -41,19 +60,20 @@ class Mission:
         self.ending: Ending | None = None
         self._plan, self._vehicle, self._orders, self._now, self._hold = plan, vehicle, orders, now, hold
         self._passage, self._plain, self._drone, self._plans = passage, plain, drone, plans
+        self.aim: Color | None = None
+        """Of the gate that the reasoner directs to."""
         self._stage = 0
-        self._newest = (0, 0)
-        """Number of the newest sentence, and the stage at which it was given."""
+        self._order = _Order(plan.instruction or "")
 
     def __call__(self) -> Segment | None:
         """The segment of now; none once the flight is over, for the reason `ending`."""
-        count, typed = self._orders.given
         track = self._vehicle.track_runner
-        instruction = typed or self._plan.instruction or (track and track.task.mission) or ""
         gates = self._passage.gates if self._passage is not None else 0
+        order = self._newest(track.index if track is not None else gates)
+        instruction = order.sentence or (track and track.task.mission) or ""
         self.ending = (
             self._orders.ending
-            or ending_of(self._vehicle, instruction.strip())
+            or ending_of(self._vehicle, order.corrections[-1] if order.corrections else instruction.strip())
             or flown_by_estimate(gates, self._asked(instruction))
         )
         if self.ending is None and self._now() >= self._plan.time_limit:
@@ -68,8 +88,8 @@ class Mission:
             return None
         index, truth = (track.index, track.truth()) if track is not None else (gates, None)
         of_scene = truth.task.instruction if truth is not None else ""
-        self._hold.begin(index + count)
-        goal = self._goal(instruction, count, index)
+        self._hold.begin(index + order.number)
+        goal = self._goal(instruction, of_scene, index)
         if goal is not None and goal.kind == "land" and not (truth is not None and truth.task.landing):
             self.ending = Ending("ordered", "landed where it was, as the mission says: there is no pad here")
             return None
@@ -85,7 +105,7 @@ class Mission:
         if index != self._stage and isinstance(self._drone, SecondLook):
             self._drone.begin_stage()
         self._stage = index
-        self.segment = Segment(index + count, plain or of_scene, truth, goal)
+        self.segment = Segment(index + order.number, plain or of_scene, truth, goal, len(order.corrections))
         return self.segment
 
     def _asked(self, instruction: str) -> int:
@@ -93,12 +113,28 @@ class Mission:
         goals = self._plans(instruction)
         return sum(goal.kind == "fly" for goal in goals) if is_mission(goals) else self._plan.gates
 
-    def _goal(self, instruction: str, count: int, index: int) -> SubGoal | None:
-        """The sub-goal of now, if the sentence is a mission: it begins where it was given."""
-        if count != self._newest[0]:
-            self._newest = count, index
-        goals = self._plans(instruction)
-        return goals[min(index - self._newest[1], len(goals) - 1)] if is_mission(goals) else None
+    def _newest(self, index: int) -> _Order:
+        """The newest order, given at the stage `index`; "no, the other one" is the one before, without this gate."""
+        order = self._order
+        count, typed = self._orders.given
+        if count == order.lines:
+            return order
+        if self.aim is not None and rejects(typed):
+            avoid = (order.avoid if order.corrected == index else frozenset()) | {self.aim}
+            every = (*order.corrections, typed)
+            self._order = replace(order, lines=count, corrections=every, corrected=index, avoid=avoid)
+        else:
+            self._order = _Order(typed, count, order.number + 1, index)
+        return self._order
+
+    def _goal(self, instruction: str, of_scene: str, index: int) -> SubGoal | None:
+        """The sub-goal of now, if the sentence is a mission, which begins where it was given, or was corrected here."""
+        order, goals = self._order, self._plans(instruction)
+        goal = goals[min(index - order.began, len(goals) - 1)] if is_mission(goals) else None
+        if order.corrected != index or not order.avoid:
+            return goal
+        goal = goal or SubGoal("fly", instruction or of_scene)
+        return replace(goal, avoid=goal.avoid | order.avoid)
 
 
 class Recorder:
@@ -119,6 +155,8 @@ class Recorder:
         segment, status = self._mission.segment, self._vehicle.status()
         if segment is None:
             return
+        if guidance is not None:
+            self._mission.aim = parse_directive(guidance.directive)[1]
         if status.decision != self._decision:
             self._decision = status.decision
             self.note(Event(observation.time, "guard", f"{status.decision}: {status.reason}".rstrip(": ")))

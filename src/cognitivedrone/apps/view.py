@@ -137,7 +137,7 @@ class Printer:
         """Write a line."""
         if event.kind in SILENT:
             return
-        if event.kind in _ANSWERS or event.kind == "segment":
+        if event.kind in _ANSWERS or event.kind in ("segment", "corrected"):
             before, self._answer = self._answer, (event.kind, event.text)
             if event.kind in _ANSWERS and before == self._answer:
                 return

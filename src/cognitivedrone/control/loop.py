@@ -44,6 +44,8 @@ class Segment:
     """Only in a simulator, for policies and reasoners that need it."""
     goal: SubGoal | None = None
     """What this part of a mission is about, if the instruction is part of one."""
+    corrections: int = 0
+    """How often the user rejected the gate flown at: a choice is dropped with each, but not what was seen."""
 
 
 Mission = Callable[[], Segment | None]
@@ -73,7 +75,8 @@ def fly(
     inference is done: on a wall clock after the time it takes, on a simulated clock after the time that `latency_model`
     charges. A chunk of actions is flown to its end before the policy is asked again.
 
-    A new segment resets the policy, with `seed` in its context, and drops the rest of the chunk. The `reasoner` is
+    A new segment resets the policy, with `seed` in its context, and drops the rest of the chunk; a correction drops
+    directive and chunk alone. The `reasoner` is
     asked about the newest frame at the start of a segment and then `REASONER_HZ` times a second, if it is idle. Its
     directive replaces the instruction when it arrives; `DirectiveFilter` decides whether it replaces another directive.
     The recorder is notified when `UNAIDED` answers in a row were late.
@@ -89,6 +92,7 @@ def fly(
     start = clock.now()
     tolerance_s = LATE_S + resolution_of(clock)
     segment_index: int | None = None
+    corrections = 0
     directive_filter, late_answers = DirectiveFilter(), LateAnswers()
     declined, troubled = False, False
     pending: list[Action] = []
@@ -102,9 +106,12 @@ def fly(
         if segment.index != segment_index:
             stage = 0 if segment_index is None else segment.index
             segment_index, directive_filter, pending, next_question = segment.index, DirectiveFilter(), [], slot
-            declined, lander = False, Lander()
+            declined, lander, corrections = False, Lander(), segment.corrections
             begin_stage(policy, EpisodeContext(segment.instruction, seed, stage, segment.truth, real_time))
             log.note(Event(clock.now() - start, "segment", segment.instruction))
+        elif segment.corrections != corrections:
+            corrections, directive_filter, pending, next_question = segment.corrections, DirectiveFilter(), [], slot
+            log.note(Event(clock.now() - start, "corrected", segment.instruction))
         observation = drone.observe()
         landing, pad = lands(segment.instruction)
         if reasoner is not None and not landing:
@@ -159,7 +166,7 @@ def _poll(
     if answer is None:
         return
     age = now - answer.question.time
-    if answer.question.segment != segment.index:
+    if (answer.question.segment, answer.question.goal) != (segment.index, segment.goal):
         text = answer.guidance.directive if answer.guidance else answer.message
         log.note(Event(now - start, "stale", text, age))
     elif answer.guidance is None:

@@ -1,5 +1,6 @@
 """Missions: one sentence for a whole flight, cut into sub-goals, one for each stage. Pure text."""
 
+from cognitivedrone.tasks.missions.corrections import rejects
 from cognitivedrone.tasks.missions.cutting import (
     LONGEST,
     forbidden_colors,
@@ -10,4 +11,13 @@ from cognitivedrone.tasks.missions.cutting import (
     sub_goals,
 )
 
-__all__ = ["LONGEST", "forbidden_colors", "is_mission", "lands", "pad_directive", "problem_of", "sub_goals"]
+__all__ = [
+    "LONGEST",
+    "forbidden_colors",
+    "is_mission",
+    "lands",
+    "pad_directive",
+    "problem_of",
+    "rejects",
+    "sub_goals",
+]
