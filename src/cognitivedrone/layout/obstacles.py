@@ -54,6 +54,17 @@ class Solids:
         first, last = (self.local(np.asarray(each)) for each in (starts, ends))
         return np.asarray(segments_meet(first, last, self.halves + np.asarray(margin)[..., None]).any(axis=-1))
 
+    def depth(self, start: Vector, directions: Vectors) -> FloatArray:
+        """(...,) how often a direction (..., 3) fits between `start` (3,) and the first solid there; infinite without.
+
+        Cylinders count as the boxes around them.
+        """
+        turned = np.broadcast_to(directions[..., None, :], (*directions.shape[:-1], len(self.yaws), 3))
+        enter, leave = _crossing(self.local(start), world_to_heading(turned, self.yaws), self.halves)
+        enter = np.maximum(enter, 0.0)
+        found: FloatArray = np.where(enter < leave, enter, np.inf).min(axis=-1, initial=np.inf)
+        return found
+
     def local(self, points: Vectors) -> Vectors:
         """(..., n, 3) points (..., 3) in the frame of each solid."""
         return world_to_heading(points[..., None, :] - self.centers, self.yaws)
@@ -86,12 +97,16 @@ class Solids:
 
 def segments_meet(first: Vectors, last: Vectors, half: Vectors) -> NDArray[np.bool_]:
     """(...,) whether segments from `first` to `last` (..., 3) meet boxes of half the sizes `half` at the origin."""
-    step = last - first
-    step = np.where(np.abs(step) < 1e-12, 1e-12, step)
-    one, two = (-half - first) / step, (half - first) / step
-    enter, leave = np.minimum(one, two).max(axis=-1), np.maximum(one, two).min(axis=-1)
+    enter, leave = _crossing(first, last - first, half)
     met: NDArray[np.bool_] = np.maximum(enter, 0.0) < np.minimum(leave, 1.0)
     return met
+
+
+def _crossing(first: Vectors, step: Vectors, half: Vectors) -> tuple[FloatArray, FloatArray]:
+    """After how many steps (...,) lines enter boxes at the origin, and leave them; sooner if they miss."""
+    step = np.where(np.abs(step) < 1e-12, 1e-12, step)
+    one, two = (-half - first) / step, (half - first) / step
+    return np.minimum(one, two).max(axis=-1), np.maximum(one, two).min(axis=-1)
 
 
 def solids_of(obstacles: Sequence[Obstacle], landmark: Landmark | None = None) -> Solids:

@@ -83,6 +83,20 @@ class SmallVLAConfig:
         return cls(**{**fields, "language": LanguageConfig.of(fields["language"])})
 
 
+class Surroundings(nn.Module):
+    """A coarse map of the frame: where obstacles are, which neither a gate's cell nor the mean of all cells tells."""
+
+    def __init__(self, features: int, channels: int) -> None:
+        super().__init__()
+        self.map = nn.Sequential(nn.Conv2d(features, channels, 1), nn.ReLU(), nn.AvgPool2d(2))
+        self.near = nn.Conv2d(channels, 1, 1)
+
+    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Of features (B, C, n, n), with m = n / 2: the map (B, channels * m * m), and nearness (B, m * m), 1/m."""
+        mapped = self.map(features)
+        return mapped.flatten(1), self.near(mapped).flatten(1)
+
+
 class Flight(nn.Module):
     """How to fly to a gate: which one a drone is on its way to, and the actions."""
 
@@ -93,8 +107,8 @@ class Flight(nn.Module):
         self.prior = nn.Sequential(nn.Linear(third + GEOMETRY + STATE, 64), nn.ReLU(), nn.Linear(64, 1))
         self.nowhere = nn.Sequential(nn.Linear(third + STATE, 64), nn.ReLU(), nn.Linear(64, 1))
         outputs = config.bins if config.head == "tokens" else 1
-        self.around = _coarse_map(third, config.surroundings) if config.surroundings else None
-        mapped = config.surroundings * (CELLS // 2) ** 2
+        self.around = Surroundings(third, config.surroundings) if config.surroundings else None
+        mapped = (config.surroundings + 1) * (CELLS // 2) ** 2 if config.surroundings else 0
         self.action = nn.Sequential(
             nn.Linear(2 * third + GEOMETRY + STATE + mapped, 256),
             nn.ReLU(),
@@ -124,7 +138,7 @@ class Flight(nn.Module):
         whole = seen.whole[:, None].expand(-1, SLOTS + 1, -1)
         known = [target, whole, geometry, self._state(state, SLOTS + 1)]
         if self.around is not None:
-            known.append(self.around(seen.features)[:, None].expand(-1, SLOTS + 1, -1))
+            known.append(torch.cat(self.around(seen.features), dim=1)[:, None].expand(-1, SLOTS + 1, -1))
         raw: Tensor = self.action(torch.cat(known, dim=-1))
         return raw.view(state.shape[0], SLOTS + 1, self.config.chunk, 4, -1)
 
@@ -140,11 +154,6 @@ class Flight(nn.Module):
     def _state(self, state: Tensor, count: int | None = None) -> Tensor:
         scaled = state / self.state_scale
         return scaled if count is None else scaled[:, None].expand(-1, count, -1)
-
-
-def _coarse_map(features: int, channels: int) -> nn.Sequential:
-    """From the features of all cells, a flat map of half as many rows and columns."""
-    return nn.Sequential(nn.Conv2d(features, channels, 1), nn.ReLU(), nn.AvgPool2d(2), nn.Flatten())
 
 
 class SmallVLA(nn.Module):

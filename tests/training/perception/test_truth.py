@@ -153,6 +153,23 @@ def test_a_panel_behind_an_obstacle_is_not_legible() -> None:
     assert known(poses, hidden).legible.tolist() == [[True, False, True, False]]
 
 
+@pytest.mark.parametrize("stage", [STAGE, TURNED])
+def test_obstacles_are_as_near_as_they_are_in_the_parts_of_the_image_where_they_are(stage: Stage) -> None:
+    x, y, z = geometry.START
+    low = Obstacle("wall", x + 2.0, y + 0.4, 0.5, z + 0.3, 0.1)
+    beam = Obstacle("beam", x + 3.0, y, 3.0, 0.2, 0.1, above=z + 1.0)
+    place = rotate_yaw(np.array([x, y, z]), stage.yaw) + np.array([*stage.origin, 0.0])
+    poses = at(*place, yaw=stage.yaw)
+    assert not known(poses, stage).near.any()
+    near = known(poses, replace(stage, obstacles=(low, beam))).near.reshape(8, 8)
+    mount = np.array([place + rotate_yaw(np.array([1.95, 0.4, -0.5]), stage.yaw)])
+    u, v, depth = project(mount[None], poses.position, poses.quaternion)[0, 0]
+    assert near[int(v // 32), int(u // 32)] == pytest.approx(1 / depth, rel=0.01)
+    assert not near[-1, -2:].any()
+    assert (near[3, 2:6] > 0.3).all()
+    assert near.max() == pytest.approx(1 / depth, rel=0.01)
+
+
 def test_far_panels_are_in_view_and_not_legible() -> None:
     found = known(at(-25.0, 0.0, 1.0))
     assert found.in_view.all()

@@ -59,7 +59,7 @@ def test_a_policy_grows_a_map_for_its_actions_which_says_nothing_at_first(
     checkpoint = train_here(tmp_path / "around", task)
     trained, start = load_trained(checkpoint)
     assert trained.config == replace(before.config, surroundings=4)
-    assert trained.state_dict()["flight.action.0.weight"][:, -4 * 64 :].any()
+    assert trained.state_dict()["flight.action.0.weight"][:, -5 * 64 :].any()
     again = replace(recipe, surroundings=8).training(Given(start=checkpoint))
     assert again.network().config == trained.config  # it has one
     assert start.facts["data"] == "from debug, step 6, seed 0"

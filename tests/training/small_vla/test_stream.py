@@ -125,6 +125,7 @@ def test_a_batch_has_its_layout(encoder: Path) -> None:
         "action": (np.float32, (b, 3, 3, 4)),
         "valid": (np.bool_, (b, 3)),
         "ahead": (np.bool_, (b, 3)),
+        "near": (np.float32, (b, 64)),
         "looks": (np.int64, (b, 3, 3)),
         "flown": (np.int64, (b,)),
         "words": (np.float16, (b, k, LONGEST, width)),

@@ -25,6 +25,7 @@ CLOSEST = 0.15
 COMMITTED = 0.8
 """Once a gate's plane is nearer than this, m, other gates are not targets."""
 _NEAREST = 0.25  # minimum distance of visible things before the lens, m
+_MAP = 8
 _LAG_S = 0.45  # lag of velocity behind command, for the actions after the first of a chunk
 
 
@@ -65,6 +66,8 @@ class Truths(NamedTuple):
     """(n, 3) whether each gate is a valid target."""
     ahead: NDArray[np.bool_]
     """(n, 3) whether each gate has not been crossed."""
+    near: NDArray[np.float32]
+    """(n, 64) nearness of obstacles, 1/m of depth, in a map of 8 x 8 parts of the image; 0 where there is none."""
 
 
 def project(points: FloatArray, position: FloatArray, quaternion: FloatArray) -> FloatArray:
@@ -112,7 +115,22 @@ def truths(
         action=action,
         valid=ahead & ((distance <= nearest) | (np.where(stands, ahead_m, np.inf).min(axis=1) > COMMITTED)[:, None]),
         ahead=ahead,
+        near=np.stack([_nearness(*each) for each in zip(poses.position, poses.quaternion, stages, strict=True)]),
     )
+
+
+def _nearness(position: FloatArray, quaternion: FloatArray, stage: Stage) -> NDArray[np.float32]:
+    """(64,) as `Truths.near`: the nearest of 16 lines of sight for each part."""
+    if not (stage.obstacles or stage.landmark):
+        return np.zeros(_MAP * _MAP, np.float32)
+    axes = rotation_matrix(quaternion[None])[0]
+    sides = (IMAGE_SIZE / 2 - (np.arange(4 * _MAP) + 0.5) * IMAGE_SIZE / (4 * _MAP)) / FOCAL_PX
+    rows, columns = np.meshgrid(sides, sides, indexing="ij")
+    lines = np.stack([np.ones_like(rows), columns, rows], axis=-1) @ axes.T
+    depth = geometry.solids(stage).depth(position + axes @ np.array(MOUNT), lines)
+    nearness = 1 / np.maximum(depth, _NEAREST)
+    parts: FloatArray = nearness.reshape(_MAP, 4, _MAP, 4).max(axis=(1, 3))
+    return parts.ravel().astype(np.float32)
 
 
 def _inside(u: FloatArray, v: FloatArray) -> NDArray[np.bool_]:

@@ -39,6 +39,7 @@ class LossWeights:
     looks: float = 0.5
     choice: float = 1.0
     action: float = 1.0
+    near: float = 10.0
 
 
 class LossModule(nn.Module):
@@ -73,6 +74,9 @@ class LossModule(nn.Module):
             "choice": F.cross_entropy(logits.flatten(0, 1), batch["choice"].flatten()),
             "action": self._action_loss(raw, batch),
         }
+        if network.flight.around is not None:
+            _, near = network.flight.around(seen.features)
+            parts["near"] = (near.float() - batch["near"]).abs().mean()
         total = torch.stack([getattr(weights, name) * loss for name, loss in parts.items()]).sum()
         measures = {name: loss.detach() for name, loss in parts.items()}
         with torch.no_grad():
