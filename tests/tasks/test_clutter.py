@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from cognitivedrone.errors import TaskError
+from cognitivedrone.layout import draw_layout
 from cognitivedrone.layout.obstacles import solids_of
-from cognitivedrone.tasks import load_suite
-from cognitivedrone.tasks.families.clutter import CLEAR_M, SEEN, cluttered, has_ways, is_free, is_in_the_way, seen_share
+from cognitivedrone.tasks import load_suite, train_task
+from cognitivedrone.tasks.families.clutter import (
+    CLEAR_M,
+    KINDS,
+    SEEN,
+    cluttered,
+    has_ways,
+    is_free,
+    is_in_the_way,
+    seen_share,
+)
 from cognitivedrone.tasks.format import task_from_json, task_to_json
 
 TASKS = [task for (task,) in load_suite("open-v3:clutter").tracks]
@@ -41,6 +52,16 @@ def test_equal_seeds_draw_equal_obstacles():
     first, second = (cluttered(np.random.default_rng(3), PLAIN, "frame", 4) for _ in range(2))
     assert first == second
     assert task_from_json(json.loads(json.dumps(task_to_json(first))), where="x") == first
+
+
+def test_a_layout_without_room_for_obstacles_is_replaced():
+    rng = np.random.default_rng(2945)
+    task = train_task(2945, 0)
+    assert rng.random() < 0.7
+    task = replace(task, layout=draw_layout(rng, task.gates, board=task.board is not None))
+    found = cluttered(rng, task, KINDS[rng.integers(4)], int(rng.integers(2, 9)))
+    assert found.layout not in (None, task.layout)
+    assert has_ways(found)
 
 
 def test_defaults_of_a_file():

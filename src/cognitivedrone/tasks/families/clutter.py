@@ -35,12 +35,14 @@ KINDS: Final[tuple[ObstacleKind, ...]] = ("pillar", "wall", "beam", "frame")
 def cluttered(rng: np.random.Generator, task: Task, kind: ObstacleKind, count: int) -> Task:
     """The task with `count` obstacles, the first of this kind and in the way.
 
-    Two of three get a gate layout of their own, and half of those without a board a landmark.
+    Two of three get a gate layout of their own, and half of those without a board a landmark. In one of a thousand
+    layouts there is no room: a task that has such a one gets another.
     """
     new_layout, marked = rng.random() < 2 / 3, rng.random() < 0.5 and task.board is None
+    attempts = 0
     while True:
-        laid_out = task
-        if new_layout:
+        laid_out, attempts = task, attempts + 1
+        if new_layout or (task.layout is not None and attempts > _TRIES):
             laid_out = replace(task, layout=draw_layout(rng, task.gates, board=task.board is not None))
         found = _with_landmark(rng, laid_out) if marked else laid_out
         for number in range(count):
