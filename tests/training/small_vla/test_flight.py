@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from quick_trainings import SCHEDULE, train_here
+from quick_trainings import SCHEDULE, saved, train_here
 
 from cognitivedrone.errors import ModelError
 from cognitivedrone.models.words.text_encoder import FILE
@@ -75,3 +75,17 @@ def test_it_is_a_recipe_that_needs_a_policy() -> None:
     assert find_recipe("flight") is FLIGHT
     assert FLIGHT.needs_start
     assert FLIGHT.stream.layouts > RECIPES["small"].stream.layouts
+
+
+def test_training_goes_on_from_the_file_of_a_policy_with_a_map(
+    policy_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recipe = replace(OBSTACLES, **SCHEDULE, surroundings=4, stream=_STREAM, validation_frames=8)
+    shutil.copy(policy_checkpoint.parent / FILE, tmp_path)
+    monkeypatch.setattr(export, "write_reasoner_parts", lambda *_, **__: None)
+    checkpoint = saved(recipe.training(Given(start=policy_checkpoint)), tmp_path)
+    export.export(checkpoint, tmp_path / "model.onnx", encoder=tmp_path / FILE)
+    (network, _), (read, _) = load_trained(checkpoint), load_trained(tmp_path / "model.onnx")
+    assert read.config == network.config
+    for name, value in network.flight.state_dict().items():
+        torch.testing.assert_close(read.flight.state_dict()[name], value, atol=1e-3, rtol=1e-3)
