@@ -92,7 +92,9 @@ class Surroundings(nn.Module):
         self.near = nn.Conv2d(channels, 1, 1)
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """Of features (B, C, n, n), with m = n / 2: the map (B, channels * m * m), and nearness (B, m * m), 1/m."""
+        """Of features (B, C, n, n), with m = n / 2: the map (B, channels * m * m), and logits (B, m * m) of nearness,
+        which is 1/m of depth, at most 1, and 0 where no obstacle is.
+        """
         mapped = self.map(features)
         return mapped.flatten(1), self.near(mapped).flatten(1)
 
@@ -138,7 +140,8 @@ class Flight(nn.Module):
         whole = seen.whole[:, None].expand(-1, SLOTS + 1, -1)
         known = [target, whole, geometry, self._state(state, SLOTS + 1)]
         if self.around is not None:
-            known.append(torch.cat(self.around(seen.features), dim=1)[:, None].expand(-1, SLOTS + 1, -1))
+            mapped, near = self.around(seen.features)
+            known.append(torch.cat([mapped, near.sigmoid()], dim=1)[:, None].expand(-1, SLOTS + 1, -1))
         raw: Tensor = self.action(torch.cat(known, dim=-1))
         return raw.view(state.shape[0], SLOTS + 1, self.config.chunk, 4, -1)
 

@@ -63,7 +63,9 @@ OBSTACLES = replace(
     name="obstacles",
     steps=5_000,
     surroundings=16,
-    stream=StreamRecipe(typed=0.5, layouts=0.7, obstacles=0.35, places=0.5, sentences=1, height_error_m=0.3),
+    stream=StreamRecipe(
+        typed=0.5, layouts=0.7, obstacles=0.35, places=0.5, sentences=1, height_error_m=0.3, learner=0.125
+    ),
 )
 """Gates stand anywhere, often behind obstacles, and the height told is wrong: what is seen of a gate tells how high it
 is."""
