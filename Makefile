@@ -5,7 +5,7 @@
 # make release-check   the rest, from a clean clone of HEAD: slow tests, reproduction in small, other Pythons and versions, image, ARM64 in qemu;
 #                      STEPS="slow lowest" takes the steps with one of these words alone
 # make test-hard       whether the tests depend on anything but the code: three times, on a busy machine, in random order,
-#                      after a kill; two hours or so. PARTS="tests/files tests/labels" takes these tests alone
+#                      after a kill; two hours or so. PARTS="tests/files tests/labels" takes these tests alone, "--only busy" these runs
 # make lock            constraints.txt from pyproject.toml; UPGRADE=1 takes the newest of everything
 #
 # make bench-card      everything about a graphics card in eight minutes, into results/ and the tables of docs/

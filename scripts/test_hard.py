@@ -1,10 +1,11 @@
 """Whether the tests depend on anything but the code: on load, order, or what a killed program left behind.
 
-Usage: .venv/bin/python scripts/test_hard.py [--seed N] [TESTS ...]
+Usage: .venv/bin/python scripts/test_hard.py [--seed N] [--only WORD]... [TESTS ...]
 
 Runs TESTS (by default all) three times in a row, once with two busy processes beside them, once in random order, and
 once right after a training and a server were killed with -9. Have nothing else heavy on the machine. A run that fails
-stops no other one; the table at the end has them all. Exits with 1 if any failed.
+stops no other one; the table at the end has them all. Exits with 1 if any failed. `--only busy --only killed` takes the
+runs whose name has one of these words.
 """
 
 from __future__ import annotations
@@ -99,14 +100,23 @@ def runs(seed: int) -> list[Run]:
     ]
 
 
+def chosen(every: list[Run], words: list[str]) -> list[Run]:
+    """The runs whose name has one of the words; all without words. Exits if a word is in no name."""
+    for word in words:
+        if not any(word in run.name for run in every):
+            sys.exit(f"no run has '{word}' in its name; the runs are:\n  " + "\n  ".join(run.name for run in every))
+    return [run for run in every if not words or any(word in run.name for word in words)]
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, default=int(time.time()), help="of the random order; a new one every time")
+    parser.add_argument("--only", action="append", default=[], metavar="WORD", help="runs that have it in their name")
     parser.add_argument("tests", nargs="*")
     options = parser.parse_args()
     pytest = [sys.executable, "-m", "pytest", "-n", "3", "--dist", "worksteal", *options.tests]
     done: list[tuple[str, int, float]] = []
-    for run in runs(options.seed):
+    for run in chosen(runs(options.seed), options.only):
         print(f"\n=== {run.name}", flush=True)
         with run.around():
             began = time.monotonic()
