@@ -119,6 +119,27 @@ def test_another_gate_is_flown_through_when_a_person_says_so(tmp_path, correctio
     assert task.gates[result.chosen].color in others[len(corrections) - 1 :]
 
 
+@pytest.mark.parametrize(
+    "lines",
+    [
+        pytest.param({"at_1": "no, the other one"}, id="of the first sentence"),
+        pytest.param({"at_10": "the elephant", "at_11": "no, the other one"}, id="of a new sentence"),
+    ],
+)
+def test_before_the_reasoner_has_answered_there_is_no_gate_to_correct(tmp_path, lines):
+    plan = FlyPlan.of(instruction="the elephant", out=tmp_path / "out", film=False, view=False)
+    orders = Typed(**lines)
+    summary = fly_mission(
+        plan, console=console(file=io.StringIO()), keyboard=io.StringIO(), pace="lockstep", orders=orders
+    )
+    (result,) = summary.results
+    assert result.outcome == "passed"
+    events = pq.read_table(tmp_path / "out" / "events.parquet").to_pylist()
+    assert "corrected" not in [event["kind"] for event in events]
+    said = {event["text"] for event in events if event["kind"] == "segment"}
+    assert "no, the other one" not in said
+
+
 def test_a_real_vehicle_does_not_land_on_pads(tmp_path):
     with pytest.raises(NotUnderstood, match="with --link sim only"):
         flown(

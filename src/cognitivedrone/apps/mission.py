@@ -61,7 +61,7 @@ class Mission:
         self._plan, self._vehicle, self._orders, self._now, self._hold = plan, vehicle, orders, now, hold
         self._passage, self._plain, self._drone, self._plans = passage, plain, drone, plans
         self.aim: Color | None = None
-        """Of the gate that the reasoner directs to."""
+        """Of the gate that the reasoner directs to, once it has answered about this order and stage."""
         self._stage = 0
         self._order = _Order(plan.instruction or "")
 
@@ -69,7 +69,10 @@ class Mission:
         """The segment of now; none once the flight is over, for the reason `ending`."""
         track = self._vehicle.track_runner
         gates = self._passage.gates if self._passage is not None else 0
-        order = self._newest(track.index if track is not None else gates)
+        index = track.index if track is not None else gates
+        if index != self._stage:
+            self.aim = None
+        order = self._newest(index)
         instruction = order.sentence or (track and track.task.mission) or ""
         self.ending = (
             self._orders.ending
@@ -86,7 +89,7 @@ class Mission:
             )
         if self.ending is not None:
             return None
-        index, truth = (track.index, track.truth()) if track is not None else (gates, None)
+        truth = track.truth() if track is not None else None
         of_scene = truth.task.instruction if truth is not None else ""
         self._hold.begin(index + order.number)
         goal = self._goal(instruction, of_scene, index)
@@ -114,16 +117,23 @@ class Mission:
         return sum(goal.kind == "fly" for goal in goals) if is_mission(goals) else self._plan.gates
 
     def _newest(self, index: int) -> _Order:
-        """The newest order, given at the stage `index`; "no, the other one" is the one before, without this gate."""
+        """The newest order, given at the stage `index`; "no, the other one" is the one before, without this gate.
+
+        Said before the reasoner has directed to a gate, it changes nothing; without a reasoner, it is an order.
+        """
         order = self._order
         count, typed = self._orders.given
         if count == order.lines:
             return order
-        if self.aim is not None and rejects(typed):
+        if self._plan.pilot.reasoner != "none" and rejects(typed):
+            if self.aim is None:
+                self._order = replace(order, lines=count)
+                return self._order
             avoid = (order.avoid if order.corrected == index else frozenset()) | {self.aim}
             every = (*order.corrections, typed)
             self._order = replace(order, lines=count, corrections=every, corrected=index, avoid=avoid)
         else:
+            self.aim = None
             self._order = _Order(typed, count, order.number + 1, index)
         return self._order
 
