@@ -19,7 +19,6 @@ from torch import Tensor, nn
 
 from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.eyes.finder import (
-    CELLS,
     GEOMETRY,
     LOOKS,
     SLOTS,
@@ -59,8 +58,6 @@ class SmallVLAConfig:
     language: LanguageConfig = field(default_factory=LanguageConfig)
     head: Head = "regression"
     bins: int = 256
-    surroundings: int = 0
-    """Channels of a coarse map of the whole frame, from which the actions learn of obstacles; 0 for none."""
     chunk: int = 1
     """Control steps per inference."""
     action_low: tuple[float, ...] = (-2.0, -2.0, -1.5, -1.0)
@@ -83,22 +80,6 @@ class SmallVLAConfig:
         return cls(**{**fields, "language": LanguageConfig.of(fields["language"])})
 
 
-class Surroundings(nn.Module):
-    """A coarse map of the frame: where obstacles are, which neither a gate's cell nor the mean of all cells tells."""
-
-    def __init__(self, features: int, channels: int) -> None:
-        super().__init__()
-        self.map = nn.Sequential(nn.Conv2d(features, channels, 1), nn.ReLU(), nn.AvgPool2d(2))
-        self.near = nn.Conv2d(channels, 1, 1)
-
-    def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
-        """Of features (B, C, n, n), with m = n / 2: the map (B, channels * m * m), and logits (B, m * m) of nearness,
-        which is 1/m of depth, at most 1, and 0 where no obstacle is.
-        """
-        mapped = self.map(features)
-        return mapped.flatten(1), self.near(mapped).flatten(1)
-
-
 class Flight(nn.Module):
     """How to fly to a gate: which one a drone is on its way to, and the actions."""
 
@@ -109,10 +90,8 @@ class Flight(nn.Module):
         self.prior = nn.Sequential(nn.Linear(third + GEOMETRY + STATE, 64), nn.ReLU(), nn.Linear(64, 1))
         self.nowhere = nn.Sequential(nn.Linear(third + STATE, 64), nn.ReLU(), nn.Linear(64, 1))
         outputs = config.bins if config.head == "tokens" else 1
-        self.around = Surroundings(third, config.surroundings) if config.surroundings else None
-        mapped = (config.surroundings + 1) * (CELLS // 2) ** 2 if config.surroundings else 0
         self.action = nn.Sequential(
-            nn.Linear(2 * third + GEOMETRY + STATE + mapped, 256),
+            nn.Linear(2 * third + GEOMETRY + STATE, 256),
             nn.ReLU(),
             nn.Linear(256, 256),
             nn.ReLU(),
@@ -138,11 +117,7 @@ class Flight(nn.Module):
         target = torch.cat([seen.cell, torch.zeros_like(seen.cell[:, :1])], dim=1)
         geometry = torch.cat([seen.geometry, nothing], dim=1)
         whole = seen.whole[:, None].expand(-1, SLOTS + 1, -1)
-        known = [target, whole, geometry, self._state(state, SLOTS + 1)]
-        if self.around is not None:
-            mapped, near = self.around(seen.features)
-            known.append(torch.cat([mapped, near.sigmoid()], dim=1)[:, None].expand(-1, SLOTS + 1, -1))
-        raw: Tensor = self.action(torch.cat(known, dim=-1))
+        raw: Tensor = self.action(torch.cat([target, whole, geometry, self._state(state, SLOTS + 1)], dim=-1))
         return raw.view(state.shape[0], SLOTS + 1, self.config.chunk, 4, -1)
 
     def decode(self, raw: Tensor) -> Tensor:

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 from cognitivedrone.errors import TrainingError, did_you_mean
 from cognitivedrone.models.small_vla import SmallVLAConfig
+from cognitivedrone.training.obstacles.training import DEBUG_OBSTACLES, OBSTACLES
 from cognitivedrone.training.reasoner.reader import READER, READER_PLACES
 from cognitivedrone.training.reasoner.selector import DEBUG_SELECTOR, SELECTOR
-from cognitivedrone.training.small_vla.flight import FLIGHT, OBSTACLES, PLACES
+from cognitivedrone.training.small_vla.flight import FLIGHT, PLACES
 from cognitivedrone.training.small_vla.language import DEBUG_LANGUAGE, LANGUAGE
 from cognitivedrone.training.small_vla.policy import TrainRecipe
 from cognitivedrone.training.small_vla.sampling import StreamRecipe
@@ -73,6 +74,7 @@ ALL_RECIPES: dict[str, Recipe] = {
     "flight": FLIGHT,
     "places": PLACES,
     "obstacles": OBSTACLES,
+    "debug-obstacles": DEBUG_OBSTACLES,
     "selector": SELECTOR,
     "debug-selector": DEBUG_SELECTOR,
     "reader": READER,
@@ -81,7 +83,7 @@ ALL_RECIPES: dict[str, Recipe] = {
 }
 """`reader`: reads panels, the first part of a pilot; `reader-places`: also before photographed places. `selector`: the
 reasoner's choice. `language`: what sentences mean, from a selector. `flight`: more flying; `places`: also in places;
-`obstacles`: around obstacles, too. `teach`: teaches a trained pilot a user's pictures and words."""
+`obstacles`: the eye that sees what is in the way. `teach`: teaches a trained pilot a user's pictures and words."""
 
 
 def find_recipe(name: str) -> Recipe:

@@ -14,7 +14,7 @@ from cognitivedrone.frames import quaternion_from_yaw, rotate_yaw
 from cognitivedrone.policies.expert import ExpertConfig, intent
 from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.training.perception.ground_truth import COMMITTED, LEGIBLE_HEIGHT, Poses, Truths, project, truths
-from cognitivedrone.types import ACTION_LIMITS, IMAGE_SIZE, FloatArray, Gate, GatePlace, Image, Obstacle, Stage
+from cognitivedrone.types import ACTION_LIMITS, IMAGE_SIZE, FloatArray, Gate, GatePlace, Image, Stage
 from cognitivedrone.world import geometry
 
 STAGE = Stage(
@@ -142,32 +142,6 @@ def test_one_gate_can_leave_the_view_alone() -> None:
 
 def test_nobody_reads_a_board_that_does_not_hang() -> None:
     assert known(at(*geometry.START)).legible.tolist() == [[True, True, True, False]]
-
-
-def test_a_panel_behind_an_obstacle_is_not_legible() -> None:
-    x, y, z = geometry.START
-    hidden = replace(TURNED, obstacles=(Obstacle("wall", x + 1.5, y, 1.0, 2.5, 0.1),))
-    away = rotate_yaw(np.array([x, y, z]), TURNED.yaw) + np.array([*TURNED.origin, 0.0])
-    poses = at(*away, yaw=TURNED.yaw)
-    assert known(poses, TURNED).legible.tolist() == [[True, True, True, False]]
-    assert known(poses, hidden).legible.tolist() == [[True, False, True, False]]
-
-
-@pytest.mark.parametrize("stage", [STAGE, TURNED])
-def test_obstacles_are_as_near_as_they_are_in_the_parts_of_the_image_where_they_are(stage: Stage) -> None:
-    x, y, z = geometry.START
-    low = Obstacle("wall", x + 2.0, y + 0.4, 0.5, z + 0.3, 0.1)
-    beam = Obstacle("beam", x + 3.0, y, 3.0, 0.2, 0.1, above=z + 1.0)
-    place = rotate_yaw(np.array([x, y, z]), stage.yaw) + np.array([*stage.origin, 0.0])
-    poses = at(*place, yaw=stage.yaw)
-    assert not known(poses, stage).near.any()
-    near = known(poses, replace(stage, obstacles=(low, beam))).near.reshape(8, 8)
-    mount = np.array([place + rotate_yaw(np.array([1.95, 0.4, -0.5]), stage.yaw)])
-    u, v, depth = project(mount[None], poses.position, poses.quaternion)[0, 0]
-    assert near[int(v // 32), int(u // 32)] == pytest.approx(1 / depth, rel=0.01)
-    assert not near[-1, -2:].any()
-    assert (near[3, 2:6] > 0.3).all()
-    assert near.max() == pytest.approx(1 / depth, rel=0.01)
 
 
 def test_far_panels_are_in_view_and_not_legible() -> None:

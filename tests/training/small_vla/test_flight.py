@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 import torch
-from quick_trainings import SCHEDULE, saved, train_here
+from quick_trainings import SCHEDULE, train_here
 
 from cognitivedrone.errors import ModelError
 from cognitivedrone.models.words.text_encoder import FILE
 from cognitivedrone.training.recipes import RECIPES, find_recipe
 from cognitivedrone.training.small_vla import export
-from cognitivedrone.training.small_vla.flight import FLIGHT, OBSTACLES
+from cognitivedrone.training.small_vla.flight import FLIGHT
 from cognitivedrone.training.small_vla.trained import load_trained
 from cognitivedrone.training.trainer.training_task import Given
 
@@ -45,26 +45,6 @@ def test_only_flying_learns(policy_checkpoint: Path, tmp_path: Path, monkeypatch
     assert (tmp_path / FILE).read_bytes() == (policy_checkpoint.parent / FILE).read_bytes()
 
 
-def test_a_policy_grows_a_map_for_its_actions_which_says_nothing_at_first(
-    policy_checkpoint: Path, tmp_path: Path
-) -> None:
-    stream = replace(_STREAM, obstacles=0.5, height_error_m=0.3, worlds=4)
-    recipe = replace(OBSTACLES, **SCHEDULE, surroundings=4, stream=stream, validation_frames=8)
-    task = recipe.training(Given(start=policy_checkpoint))
-    before, larger = load_trained(policy_checkpoint)[0], task.network().eval()
-    images, state = torch.randint(0, 256, (2, 256, 256, 3), dtype=torch.uint8), torch.randn(2, 5)
-    words = torch.randn(2, 4, before.config.language.size)
-    with torch.no_grad():
-        torch.testing.assert_close(larger(images, state, words), before(images, state, words))
-    checkpoint = train_here(tmp_path / "around", task)
-    trained, start = load_trained(checkpoint)
-    assert trained.config == replace(before.config, surroundings=4)
-    assert trained.state_dict()["flight.action.0.weight"][:, -5 * 64 :].any()
-    again = replace(recipe, surroundings=8).training(Given(start=checkpoint))
-    assert again.network().config == trained.config  # it has one
-    assert start.facts["data"] == "from debug, step 6, seed 0"
-
-
 def test_a_policy_without_its_text_encoder_is_not_trained_further(policy_checkpoint: Path, tmp_path: Path) -> None:
     path = Path(shutil.copy(policy_checkpoint, tmp_path))
     with pytest.raises(ModelError, match=r"was trained with another text encoder than|there is no model file"):
@@ -75,17 +55,3 @@ def test_it_is_a_recipe_that_needs_a_policy() -> None:
     assert find_recipe("flight") is FLIGHT
     assert FLIGHT.needs_start
     assert FLIGHT.stream.layouts > RECIPES["small"].stream.layouts
-
-
-def test_training_goes_on_from_the_file_of_a_policy_with_a_map(
-    policy_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    recipe = replace(OBSTACLES, **SCHEDULE, surroundings=4, stream=_STREAM, validation_frames=8)
-    shutil.copy(policy_checkpoint.parent / FILE, tmp_path)
-    monkeypatch.setattr(export, "write_reasoner_parts", lambda *_, **__: None)
-    checkpoint = saved(recipe.training(Given(start=policy_checkpoint)), tmp_path)
-    export.export(checkpoint, tmp_path / "model.onnx", encoder=tmp_path / FILE)
-    (network, _), (read, _) = load_trained(checkpoint), load_trained(tmp_path / "model.onnx")
-    assert read.config == network.config
-    for name, value in network.flight.state_dict().items():
-        torch.testing.assert_close(read.flight.state_dict()[name], value, atol=1e-3, rtol=1e-3)

@@ -21,7 +21,6 @@ from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.families.racing import INSTRUCTIONS
 from cognitivedrone.training.language.questions import Question, ask
 from cognitivedrone.training.perception.attributes import gate_looks
-from cognitivedrone.training.perception.ground_truth import Poses, truths
 from cognitivedrone.training.recipes import ALL_RECIPES, RECIPES
 from cognitivedrone.training.small_vla import sampling, stream
 from cognitivedrone.training.small_vla.sampling import LONGEST, NONE_IN_VIEW, Sampler, SampleSource, StreamRecipe
@@ -57,7 +56,7 @@ def batches(
     with pytest.MonkeyPatch.context() as patch:
         if encoder is None:
             patch.setattr(Sampler, "_encoded", written)
-        rollout_stream = RolloutStream(recipe, SampleSource(encoder))
+        rollout_stream = RolloutStream(recipe, Sampler(recipe, SampleSource(encoder)))
         try:
             return list(itertools.islice(rollout_stream(seed, learner), count))  # type: ignore[arg-type]
         finally:
@@ -125,7 +124,6 @@ def test_a_batch_has_its_layout(encoder: Path) -> None:
         "action": (np.float32, (b, 3, 3, 4)),
         "valid": (np.bool_, (b, 3)),
         "ahead": (np.bool_, (b, 3)),
-        "near": (np.float32, (b, 64)),
         "looks": (np.int64, (b, 3, 3)),
         "flown": (np.int64, (b,)),
         "words": (np.float16, (b, k, LONGEST, width)),
@@ -154,59 +152,8 @@ def test_a_share_of_the_flights_is_in_places_that_models_are_trained_in(monkeypa
     assert not asked
 
 
-def test_the_height_that_is_told_may_be_wrong_and_nothing_else() -> None:
-    height = 3
-    poses = Poses(
-        np.tile([0.0, 0.0, 2.0], (500, 1)), np.tile([1.0, 0, 0, 0], (500, 1)), np.ones((500, 3)), np.ones(500)
-    )
-    sampler = Sampler(replace(RECIPE, height_error_m=0.5), SampleSource(None))
-    state = sampler._state(np.random.default_rng(0), poses)
-    assert 1.5 <= state[:, height].min() < 1.55
-    assert 2.45 < state[:, height].max() <= 2.5
-    np.testing.assert_array_equal(np.delete(state, height, 1), np.delete(poses.state(), height, 1))
-    assert state.dtype == np.float32
-    np.testing.assert_array_equal(
-        Sampler(RECIPE, SampleSource(None))._state(np.random.default_rng(0), poses), poses.state()
-    )
-
-
-def test_the_teacher_flies_around_obstacles_and_says_so_of_every_gate() -> None:
-    recipe = replace(RECIPE, obstacles=1.0, worlds=4, wander=0.0, rolling=0.0, off_track=0.0, learner=0.0, sampled=0.2)
-    rollout_stream = RolloutStream(recipe, SampleSource(None))
-    ended: list[str] = []
-    made, plain = [], []
-    try:
-        rollout_stream._rng = np.random.default_rng(0)
-        rollout_stream._flights = [rollout_stream._begin(world) for world in range(4)]
-        advance = rollout_stream._worlds.advance
-
-        def watched() -> list[Any]:
-            results = advance()
-            ended.extend(result.outcome for result in results if result is not None)
-            return results
-
-        rollout_stream._worlds.advance = watched
-        while len(ended) < 12:
-            flights, poses = rollout_stream._flights, rollout_stream._poses(np.arange(4))
-            stages, detours = [each.stage for each in flights], [each.detours for each in flights]
-            assert all(len(ways) == 3 for ways in detours)
-            made.append(truths(poses, stages, 1, recipe.expert, detours).action)
-            plain.append(truths(poses, stages, 1, recipe.expert).action)
-            rollout_stream._step()
-    finally:
-        rollout_stream.close()
-    assert {*ended} <= {"passed", "wrong_gate"}  # half are flown at another gate
-    around = np.abs(np.concatenate(made) - np.concatenate(plain)).max(axis=(-1, -2)) > 0.01  # (frames, 3)
-    assert 0.1 < around.mean() < 0.9
-    assert around.any(axis=0).all()
-
-
 def test_recipes_of_before_see_no_places() -> None:
-    assert {name for name, each in ALL_RECIPES.items() if _sees_places(each)} == {
-        "places",
-        "reader-places",
-        "obstacles",
-    }
+    assert {name for name, each in ALL_RECIPES.items() if _sees_places(each)} == {"places", "reader-places"}
 
 
 def _sees_places(recipe: Any) -> bool:
@@ -224,7 +171,9 @@ def test_words_are_those_of_the_encoder_and_nothing_beyond(encoder: Path) -> Non
 
 
 def test_a_policy_that_hears_nothing_gets_no_words() -> None:
-    rollout_stream = RolloutStream(replace(RECIPE, suite="race"), SampleSource(None))
+    rollout_stream = RolloutStream(
+        replace(RECIPE, suite="race"), Sampler(replace(RECIPE, suite="race"), SampleSource(None))
+    )
     try:
         batch = next(rollout_stream((1, 2)))
     finally:
@@ -233,7 +182,7 @@ def test_a_policy_that_hears_nothing_gets_no_words() -> None:
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(encoder: Path) -> None:
-    rollout_stream = RolloutStream(RECIPE, SampleSource(encoder))
+    rollout_stream = RolloutStream(RECIPE, Sampler(RECIPE, SampleSource(encoder)))
     try:
         first, other, again = (list(itertools.islice(rollout_stream((seed,)), 3)) for seed in (5, 6, 5))
     finally:
@@ -395,7 +344,10 @@ def test_typed_sentences_say_what_the_training_tasks_do_not() -> None:
 
 def test_a_share_of_the_flights_has_gates_at_other_places() -> None:
     def flights(share: float) -> list[Any]:
-        rollout_stream = RolloutStream(replace(RECIPE, layouts=share, worlds=6), SampleSource(None))
+        rollout_stream = RolloutStream(
+            replace(RECIPE, layouts=share, worlds=6),
+            Sampler(replace(RECIPE, layouts=share, worlds=6), SampleSource(None)),
+        )
         try:
             next(rollout_stream((4, 2)))
             return rollout_stream._flights

@@ -82,8 +82,6 @@ class Seen(NamedTuple):
     """(B, 3), see `BOARD`."""
     looks: Tensor
     """(B, S, 8) logits, see `LOOKS`."""
-    features: Tensor
-    """(B, C, n, n) of all cells."""
 
 
 Boxes: TypeAlias = Tensor
@@ -135,8 +133,7 @@ class Finder(nn.Module):
         flat = scene.features.flatten(2).transpose(1, 2)
         cell = flat.gather(1, slots.cells[:, :, None].expand(-1, -1, flat.shape[2]))
         board = flat.gather(1, slots.board_cell[:, None, None].expand(-1, 1, flat.shape[2]))[:, 0]
-        looks = self.looks(cell)
-        return Seen(cell, flat.mean(dim=1), self.place(cell), self.board_place(board), looks, scene.features)
+        return Seen(cell, flat.mean(dim=1), self.place(cell), self.board_place(board), self.looks(cell))
 
 
 def gate_boxes(slots: Slots, seen: Seen) -> Boxes:

@@ -4,14 +4,13 @@ toward each gate. Vectorised over frames.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.frames import rotate_yaw, rotation_matrix, world_to_heading, wrap_angle, yaw_of
-from cognitivedrone.policies.expert import Detour, ExpertConfig, command_for, intent
+from cognitivedrone.policies.expert import ExpertConfig, intent
 from cognitivedrone.sim.drawing.views import FOCAL_PX, MOUNT
 from cognitivedrone.types import ACTION_LIMITS, CONTROL_HZ, IMAGE_SIZE, FloatArray, Stage
 from cognitivedrone.world import geometry
@@ -25,7 +24,6 @@ CLOSEST = 0.15
 COMMITTED = 0.8
 """Once a gate's plane is nearer than this, m, other gates are not targets."""
 _NEAREST = 0.25  # minimum distance of visible things before the lens, m
-_MAP = 8
 _LAG_S = 0.45  # lag of velocity behind command, for the actions after the first of a chunk
 
 
@@ -66,8 +64,6 @@ class Truths(NamedTuple):
     """(n, 3) whether each gate is a valid target."""
     ahead: NDArray[np.bool_]
     """(n, 3) whether each gate has not been crossed."""
-    near: NDArray[np.float32]
-    """(n, 64) nearness of obstacles, 1/m of depth, in a map of 8 x 8 parts of the image; 0 where there is none."""
 
 
 def project(points: FloatArray, position: FloatArray, quaternion: FloatArray) -> FloatArray:
@@ -80,13 +76,8 @@ def project(points: FloatArray, position: FloatArray, quaternion: FloatArray) ->
     return np.stack([u, v, body[..., 0]], axis=-1)
 
 
-def truths(
-    poses: Poses, stages: list[Stage], chunk: int, expert: ExpertConfig, detours: Sequence[Sequence[Detour]] = ()
-) -> Truths:
-    """Ground truth of the frames of drones at `poses`, each in its own stage.
-
-    `detours` are, for each drone, those to the three gates, or none where nothing is in the way.
-    """
+def truths(poses: Poses, stages: list[Stage], chunk: int, expert: ExpertConfig) -> Truths:
+    """Ground truth of the frames of drones at `poses`, each in its own stage."""
     centers = np.stack([geometry.gate_centers(stage) for stage in stages])
     yaws = np.stack([geometry.gate_yaws(stage) for stage in stages])
     stands = np.array([[index in geometry.standing(stage) for index in range(3)] for stage in stages])
@@ -105,7 +96,7 @@ def truths(
     panel, legible = _panels(poses, stages)
     panelled = np.array([[index in geometry.panelled(stage) for index in range(3)] for stage in stages])
     legible[:, :3] &= panelled & (ahead_m > 0)
-    action = _chunks(poses, heading, centers, yaws, chunk, expert, detours)
+    action = _chunks(poses, heading, centers, yaws, chunk, expert)
     return Truths(
         gate=gate[..., :2].astype(np.float32),
         in_view=in_view,
@@ -115,22 +106,7 @@ def truths(
         action=action,
         valid=ahead & ((distance <= nearest) | (np.where(stands, ahead_m, np.inf).min(axis=1) > COMMITTED)[:, None]),
         ahead=ahead,
-        near=np.stack([_nearness(*each) for each in zip(poses.position, poses.quaternion, stages, strict=True)]),
     )
-
-
-def _nearness(position: FloatArray, quaternion: FloatArray, stage: Stage) -> NDArray[np.float32]:
-    """(64,) as `Truths.near`: the nearest of 16 lines of sight for each part."""
-    if not (stage.obstacles or stage.landmark):
-        return np.zeros(_MAP * _MAP, np.float32)
-    axes = rotation_matrix(quaternion[None])[0]
-    sides = (IMAGE_SIZE / 2 - (np.arange(4 * _MAP) + 0.5) * IMAGE_SIZE / (4 * _MAP)) / FOCAL_PX
-    rows, columns = np.meshgrid(sides, sides, indexing="ij")
-    lines = np.stack([np.ones_like(rows), columns, rows], axis=-1) @ axes.T
-    depth = geometry.solids(stage).depth(position + axes @ np.array(MOUNT), lines)
-    nearness = 1 / np.maximum(depth, _NEAREST)
-    parts: FloatArray = nearness.reshape(_MAP, 4, _MAP, 4).max(axis=(1, 3))
-    return parts.ravel().astype(np.float32)
 
 
 def _inside(u: FloatArray, v: FloatArray) -> NDArray[np.bool_]:
@@ -153,10 +129,6 @@ def _panels(poses: Poses, stages: list[Stage]) -> tuple[NDArray[np.float32], NDA
     near = np.minimum(np.minimum(top[..., 2], bottom[..., 2]), middle[..., 2])
     legible = (near > _NEAREST) & (height >= LEGIBLE_HEIGHT) & (share >= LEGIBLE_SHARE)
     legible[:, 3] &= np.array([stage.board is not None for stage in stages])
-    for row, stage in enumerate(stages):
-        if stage.obstacles:
-            eyes = np.broadcast_to(poses.position[row], middles[row].shape)
-            legible[row] &= ~geometry.solids(stage).blocked(eyes, middles[row], 0.0)
     return np.stack([u, v, height], axis=-1).clip(-2000, 2000).astype(np.float32), legible
 
 
@@ -168,13 +140,7 @@ def _overlap(middle: FloatArray, size: FloatArray) -> FloatArray:
 
 
 def _chunks(
-    poses: Poses,
-    heading: FloatArray,
-    centers: FloatArray,
-    yaws: FloatArray,
-    chunk: int,
-    expert: ExpertConfig,
-    detours: Sequence[Sequence[Detour]],
+    poses: Poses, heading: FloatArray, centers: FloatArray, yaws: FloatArray, chunk: int, expert: ExpertConfig
 ) -> NDArray[np.float32]:
     """The expert's actions (n, 3, chunk, 4) toward each gate; those after the first at predicted states, from a simple
     model of the drone whose velocity follows the command with a lag.
@@ -185,12 +151,7 @@ def _chunks(
     limits, period = np.array(ACTION_LIMITS), 1 / CONTROL_HZ
     actions = []
     for _ in range(chunk):
-        action = intent(position, velocity, yaw, centers, yaws, expert)
-        for row, gate in ((row, gate) for row, ways in enumerate(detours) for gate in range(len(ways))):
-            wanted = detours[row][gate].wish(position[row, gate], velocity[row, gate], flying=False)
-            if wanted is not None:
-                action[row, gate] = command_for(wanted, yaw[row, gate], expert)
-        action = np.clip(action, -limits, limits)
+        action = np.clip(intent(position, velocity, yaw, centers, yaws, expert), -limits, limits)
         actions.append(action)
         wanted = rotate_yaw(action[..., :3], yaw)
         velocity = velocity + (wanted - velocity) * (1 - np.exp(-period / _LAG_S))

@@ -14,7 +14,7 @@ import torch
 from cognitivedrone.models.small_vla import SmallVLA
 from cognitivedrone.training.small_vla.policy import PolicyTraining, TrainRecipe
 from cognitivedrone.training.small_vla.sampling import StreamRecipe
-from cognitivedrone.training.small_vla.trained import grown, trained
+from cognitivedrone.training.small_vla.trained import trained
 from cognitivedrone.training.trainer.start import read_start
 from cognitivedrone.training.trainer.training_task import Given
 
@@ -23,9 +23,6 @@ from cognitivedrone.training.trainer.training_task import Given
 class FlightRecipe(TrainRecipe):
     """Everything that determines a training run on flying alone, except its start, processes and seed."""
 
-    surroundings: int = 0
-    """Channels of the map that is added to a policy whose actions have none (`SmallVLAConfig`)."""
-
     needs_start: ClassVar[bool] = True
 
     def training(self, given: Given) -> FlightTraining:
@@ -33,8 +30,6 @@ class FlightRecipe(TrainRecipe):
         origin = read_start(given.start, "policy")
         origin.reader_facts()  # a racing policy has no language to keep
         network = trained(origin).config
-        if not network.surroundings:
-            network = replace(network, surroundings=self.surroundings)
         recipe = replace(self, network=network, stream=replace(self.stream, chunk=network.chunk))
         return FlightTraining(recipe, tuple(origin.facts["attributes"]), origin, given.data)
 
@@ -58,19 +53,6 @@ PLACES = replace(
 frame: language is frozen, and reading them would take three times as long as drawing and flying."""
 
 
-OBSTACLES = replace(
-    PLACES,
-    name="obstacles",
-    steps=5_000,
-    surroundings=16,
-    stream=StreamRecipe(
-        typed=0.5, layouts=0.7, obstacles=0.35, places=0.5, sentences=1, height_error_m=0.3, learner=0.125
-    ),
-)
-"""Gates stand anywhere, often behind obstacles, and the height told is wrong: what is seen of a gate tells how high it
-is."""
-
-
 @dataclass(frozen=True)
 class FlightTraining(PolicyTraining):
     """A small VLA whose language and panel reader are frozen."""
@@ -79,8 +61,6 @@ class FlightTraining(PolicyTraining):
         """The policy's network, channels last in memory for speed; only finding gates and flying can learn."""
         assert self.start is not None  # noqa: S101  (for the type checker)
         network = trained(self.start)
-        if network.config != self.recipe.network:
-            network = grown(network, self.recipe.network.surroundings)
         for part in (network.language, network.reader):
             assert part is not None  # noqa: S101
             part.requires_grad_(requires_grad=False)

@@ -39,7 +39,6 @@ class LossWeights:
     looks: float = 0.5
     choice: float = 1.0
     action: float = 1.0
-    near: float = 10.0
 
 
 class LossModule(nn.Module):
@@ -74,10 +73,6 @@ class LossModule(nn.Module):
             "choice": F.cross_entropy(logits.flatten(0, 1), batch["choice"].flatten()),
             "action": self._action_loss(raw, batch),
         }
-        if network.flight.around is not None:
-            _, near = network.flight.around(seen.features)
-            # Not the absolute error: most parts hold nothing, and their median is 0 everywhere.
-            parts["near"] = F.binary_cross_entropy_with_logits(near.float(), batch["near"].clamp(max=1))
         total = torch.stack([getattr(weights, name) * loss for name, loss in parts.items()]).sum()
         measures = {name: loss.detach() for name, loss in parts.items()}
         with torch.no_grad():

@@ -71,7 +71,7 @@ class Recorded:
     def _setting(self, row: int) -> Setting:
         if row not in self._settings:
             task = self._tasks[row]
-            self._settings[row] = Setting(task, stage_of(task), right_gate(task), self._recipe.expert)
+            self._settings[row] = Setting(task, stage_of(task), right_gate(task))
         return self._settings[row]
 
 
@@ -80,5 +80,5 @@ def training_batches(
 ) -> Batches:
     """Batches from a split of a data set or, without one, from flights made during training, split by seed."""
     if data is None:
-        return RolloutStream(stream, source)
+        return RolloutStream(stream, Sampler(stream, source))
     return Recorded(data, stream, source, "val" if validation else "train").batches

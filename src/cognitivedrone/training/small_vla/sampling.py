@@ -10,13 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from cognitivedrone.frames import rotate_yaw
-from cognitivedrone.layout import STARTS
 from cognitivedrone.models.words.text_encoder import TextEncoderModel
-from cognitivedrone.policies.expert import Detour, ExpertConfig
-from cognitivedrone.sim.airframe import RACER
+from cognitivedrone.policies.expert import ExpertConfig
 from cognitivedrone.tasks.directives import write_directive
 from cognitivedrone.tasks.generate import TRAIN, Pools
 from cognitivedrone.training.language.held_out import is_held_out
@@ -54,8 +50,6 @@ class StreamRecipe:
     """Share of flights with other gate layouts than the published one (`cognitivedrone.layout`)."""
     varied: float = 0.5
     """Share of flights with varied appearance."""
-    obstacles: float = 0.0
-    """Share of flights with obstacles, of which one is in the way to the right gate; the teacher flies around them."""
     places: float = 0.0
     """Share of flights in photographed places, before the others are plain or varied; only in those of training."""
     rolling: float = 0.2
@@ -66,8 +60,6 @@ class StreamRecipe:
     """Share of the expert's flights that are disturbed by random wrong commands."""
     wind_m_s: float = 1.0
     """Maximum steady wind."""
-    height_error_m: float = 0.0
-    """Maximum error of the height that samples tell: a height that is not sure is no clue to a gate's."""
     learner: float = 0.25
     """Share of worlds that the network flies, once it exists."""
     worlds: int = 16
@@ -81,19 +73,13 @@ class StreamRecipe:
 
 
 class Setting:
-    """The known facts about a flight: its task and stage, the gate flown at, the gates' looks, and the ways to them
-    where something is in the way.
-    """
+    """The known facts about a flight: its task and stage, the gate flown at, and the gates' looks."""
 
-    def __init__(self, task: Task, stage: Stage, flown: int, expert: ExpertConfig) -> None:
+    def __init__(self, task: Task, stage: Stage, flown: int) -> None:
         self.task = task
         self.stage = stage
         self.flown = flown
         self.looks = np.stack([gate_looks(gate) for gate in stage.gates])
-        self.detours: tuple[Detour, ...] = ()
-        if stage.obstacles or stage.landmark:
-            start = rotate_yaw(STARTS[0], stage.yaw) + np.array([*stage.origin, 0.0])
-            self.detours = tuple(Detour(stage, gate, RACER.hull_radius, start, expert) for gate in range(3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,8 +99,7 @@ class Sampler:
 
     def sample(self, rng: np.random.Generator, poses: Poses, flights: Sequence[Setting], frames: Image) -> Batch:
         """The samples of n frames (n, 256, 256, 3), one flight each: the fields of `Batch`."""
-        detours = [each.detours for each in flights]
-        known = truths(poses, [each.stage for each in flights], self.recipe.chunk, self.recipe.expert, detours)
+        known = truths(poses, [each.stage for each in flights], self.recipe.chunk, self.recipe.expert)
         texts: list[str] = []
         asked = np.zeros((len(flights), self.recipe.sentences), dtype=np.int64)
         for row, each in enumerate(flights):
@@ -124,7 +109,7 @@ class Sampler:
         seen = np.take_along_axis(known.in_view, asked, axis=1)
         return {
             "image": frames,
-            "state": self._state(rng, poses),
+            "state": poses.state(),
             **known._asdict(),
             "looks": np.stack([each.looks for each in flights]),
             "flown": np.array([each.flown for each in flights]),
@@ -132,13 +117,6 @@ class Sampler:
             "asked": asked,
             "choice": np.where(seen, asked, NONE_IN_VIEW),
         }
-
-    def _state(self, rng: np.random.Generator, poses: Poses) -> NDArray[np.float32]:
-        """(n, 5) as `Poses.state`, with the recipe's error of height. An error of zero draws nothing."""
-        state = poses.state()
-        if limit := self.recipe.height_error_m:
-            state[:, 3] += rng.uniform(-limit, limit, len(state))
-        return state
 
     def _encoded(self, texts: list[str], frames: int) -> Batch:
         """`words` (n, sentences, LONGEST, W) in half precision, cut to `LONGEST` tokens; empty without an encoder."""

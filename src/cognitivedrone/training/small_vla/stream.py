@@ -11,8 +11,9 @@ machine of a kind.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,17 +23,16 @@ from cognitivedrone.envs.worlds import Worlds
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.labels import load_pack
 from cognitivedrone.layout import draw_layout
-from cognitivedrone.policies.expert import ExpertConfig, command_for, intent
+from cognitivedrone.policies.expert import intent
 from cognitivedrone.sim.airframe import RACER
 from cognitivedrone.sim.drone_world import Start
 from cognitivedrone.tasks import train_task
-from cognitivedrone.tasks.families.clutter import KINDS, cluttered
 from cognitivedrone.tasks.families.racing import crowded_task, race_task
 from cognitivedrone.tasks.validate import right_gate
 from cognitivedrone.training.perception.ground_truth import Poses
-from cognitivedrone.training.small_vla.sampling import Sampler, SampleSource, Setting, StreamRecipe
+from cognitivedrone.training.small_vla.sampling import Setting, StreamRecipe
 from cognitivedrone.training.trainer.training_task import Batch, Filling, Learner
-from cognitivedrone.types import FloatArray, Image, Stage, Task
+from cognitivedrone.types import Commands, FloatArray, Image, Stage, Task
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import PLAIN, photo_appearance, varied_appearance
 from cognitivedrone.world.places import names
@@ -41,37 +41,39 @@ _HOPELESS = TrackConfig(time_limit_s=14.1)  # a flight of so long leads nowhere
 _BOUND_M = 9.0  # beyond this distance from the stage's origin there is nothing to learn
 
 
-class _Flight(Setting):
+class Flight(Setting):
     """One flight in progress."""
 
-    def __init__(
-        self,
-        task: Task,
-        stage: Stage,
-        flown: int,
-        expert: ExpertConfig,
-        *,
-        learner: bool,
-        wander: float,
-        speed: float,
-    ) -> None:
-        super().__init__(task, stage, flown, expert)
+    def __init__(self, task: Task, stage: Stage, flown: int, *, learner: bool, wander: float, speed: float) -> None:
+        super().__init__(task, stage, flown)
         self.learner = learner
         self.wander = wander
         self.speed = speed
         self.wrong = np.zeros(4)
 
 
+class FrameSampler(Protocol):
+    """Makes samples of frames, such as a `Sampler`."""
+
+    def askable(self, task: Task) -> tuple[int, ...]:
+        """The gates that flights may be flown at."""
+        ...
+
+    def sample(self, rng: np.random.Generator, poses: Poses, flights: Sequence[Setting], frames: Image) -> Batch:
+        """The samples of n frames (n, 256, 256, 3), one flight each; among them `flown`."""
+        ...
+
+
 class RolloutStream:
     """Worlds with training flights."""
 
-    def __init__(self, recipe: StreamRecipe, source: SampleSource) -> None:
+    def __init__(self, recipe: StreamRecipe, sampler: FrameSampler) -> None:
         self.recipe = recipe
-        self._sampler = Sampler(recipe, source)
+        self._sampler = sampler
         self._worlds = Worlds(recipe.worlds, load_pack(), _HOPELESS)
         self._rng = np.random.default_rng()
         self._learner: Learner | None = None
-        self._flights: list[_Flight] = []
+        self._flights: list[Flight] = []
         self._report: Filling = lambda *_: None
 
     def watch(self, report: Filling) -> None:
@@ -100,17 +102,20 @@ class RolloutStream:
                 yield {name: values[chosen] for name, values in together.items()}
             pool = [{name: values[order[size:]] for name, values in together.items()}]
 
-    def _begin(self, world: int) -> _Flight:
+    def _task(self) -> Task:
+        """The task of a new flight."""
         rng, recipe = self._rng, self.recipe
         make = train_task
         if recipe.suite == "race":
             make = crowded_task if rng.random() < recipe.crowded else race_task
         task = make(int(rng.integers(2**31)), 0)
-        # A share of zero draws nothing: the recipes without layouts, obstacles or places stay as they are, to the bit.
+        # A share of zero draws nothing: the recipes without layouts or places stay as they are, to the bit.
         if recipe.layouts and rng.random() < recipe.layouts:
             task = replace(task, layout=draw_layout(rng, task.gates, board=task.board is not None))
-        if recipe.obstacles and rng.random() < recipe.obstacles:
-            task = cluttered(rng, task, KINDS[rng.integers(len(KINDS))], int(rng.integers(2, 9)))
+        return task
+
+    def _begin(self, world: int) -> Flight:
+        rng, recipe, task = self._rng, self.recipe, self._task()
         if recipe.places and rng.random() < recipe.places:
             appearance = photo_appearance(rng, names("training"))
         else:
@@ -126,7 +131,7 @@ class RolloutStream:
         flown = right_gate(task) if learner or not others or rng.random() < 0.5 else int(rng.choice(others))
         wander = float(rng.uniform(0.3, 1.2)) if rng.random() < recipe.wander else 0.0
         speed = float(rng.uniform(1.3, 1.8))
-        return _Flight(task, stage, flown, recipe.expert, learner=learner, wander=wander, speed=speed)
+        return Flight(task, stage, flown, learner=learner, wander=wander, speed=speed)
 
     def _draw_start(self) -> tuple[Start, FloatArray]:
         """Initial conditions of a flight, and its velocity, heading frame, m/s."""
@@ -170,16 +175,9 @@ class RolloutStream:
 
     def _command(self, led: NDArray[np.intp], frames: Image) -> None:
         """Command every drone."""
-        flight, flights = self._worlds.simulator.flight, self._flights
-        centers = np.stack([geometry.gate_centers(each.stage)[each.flown] for each in flights])
-        yaws = np.array([geometry.gate_yaws(each.stage)[each.flown] for each in flights])
-        actions = intent(flight.position, flight.velocity, flight.yaw, centers, yaws, self.recipe.expert)
+        flights, actions = self._flights, self._expert_actions()
         kicks = self._rng.standard_normal((len(flights), 4)) * (1.0, 1.0, 0.6, 0.8)
         for world, each in enumerate(flights):
-            if each.detours:
-                wanted = each.detours[each.flown].wish(flight.position[world], flight.velocity[world])
-                if wanted is not None:
-                    actions[world] = command_for(wanted, flight.yaw[world], self.recipe.expert)
             actions[world, :3] *= each.speed / self.recipe.expert.speed_m_s
             # Random wrong command, correlated over half a second, with the standard deviation `wander`.
             each.wrong = 0.82 * each.wrong + 0.57 * each.wander * kicks[world]
@@ -188,3 +186,10 @@ class RolloutStream:
             texts = [flights[world].task.instruction for world in led]
             actions[led] = self._learner.act(frames, self._poses(led).state(), texts)
         self._worlds.command(actions)
+
+    def _expert_actions(self) -> Commands:
+        """(n, 4) the expert's commands toward the gates flown at."""
+        flight, flights = self._worlds.simulator.flight, self._flights
+        centers = np.stack([geometry.gate_centers(each.stage)[each.flown] for each in flights])
+        yaws = np.array([geometry.gate_yaws(each.stage)[each.flown] for each in flights])
+        return intent(flight.position, flight.velocity, flight.yaw, centers, yaws, self.recipe.expert)

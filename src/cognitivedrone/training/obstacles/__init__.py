@@ -1,0 +1,1 @@
+"""Training of the eye that sees what is in the way."""

@@ -1,0 +1,183 @@
+"""The obstacle eye's network as a training task."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F  # noqa: N812
+
+from cognitivedrone.errors import TrainingError
+from cognitivedrone.files import replacing
+from cognitivedrone.models.eyes.obstacle_eye import DEPTHS_M, EYE, EYE_FILE, FARTHEST_M, ObstacleEye
+from cognitivedrone.models.eyes.obstacle_network import Channels, ObstacleNetwork, occupied_and_depth
+from cognitivedrone.models.onnx_file import write_table
+from cognitivedrone.training.obstacles.frames import ObstacleFlights, ObstacleStreamRecipe, quieter
+from cognitivedrone.training.trainer.checkpoint import read_checkpoint, restore
+from cognitivedrone.training.trainer.training_task import Batch, Batches, Given, Recipe, Row, to_tensors
+
+_VALIDATION = 10**6  # rank of the generator of validation frames: no training process has it
+_NEAR_M = 3.0  # obstacles nearer than this matter in flight
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObstacleRecipe(Recipe):
+    """Everything that determines a training run of the obstacle eye, except processes and seed."""
+
+    channels: Channels = (32, 64, 96)
+    stream: ObstacleStreamRecipe = field(default_factory=ObstacleStreamRecipe)
+    """Its batch is that of the whole training; processes share it."""
+    validation_frames: int = 384
+
+    model_file: ClassVar[str] = EYE_FILE
+
+    def training(self, given: Given) -> ObstacleTraining:
+        """A new eye."""
+        del given
+        return ObstacleTraining(self)
+
+
+@dataclass(frozen=True)
+class ObstacleTraining:
+    """Training task of the obstacle eye."""
+
+    recipe: ObstacleRecipe
+
+    def identity(self) -> dict[str, Any]:
+        """The recipe."""
+        return {"recipe": self.recipe.facts()}
+
+    def facts(self) -> dict[str, Any]:
+        """None beside the recipe."""
+        return {}
+
+    def network(self) -> ObstacleNetwork:
+        """A new network, channels last in memory for speed."""
+        network = ObstacleNetwork(self.recipe.channels)
+        network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        return network
+
+    def loss_module(self, network: nn.Module) -> ObstacleLoss:
+        """The network with its loss."""
+        assert isinstance(network, ObstacleNetwork)  # noqa: S101  (for the type checker)
+        return ObstacleLoss(network)
+
+    def learner(self, network: nn.Module) -> None:
+        """None: an eye does not fly."""
+        del network
+
+    def share(self, processes: int) -> ObstacleTraining:
+        """Processes share the frames."""
+        stream = self.recipe.stream
+        if stream.batch % processes:
+            raise TrainingError(f"a batch of {stream.batch} frames cannot be shared by {processes} processes")
+        return replace(self, recipe=replace(self.recipe, stream=replace(stream, batch=stream.batch // processes)))
+
+    def batches(self) -> Batches:
+        """Frames of flights among obstacles."""
+        return ObstacleFlights(self.recipe.stream)
+
+    def validation(self, seed: int) -> list[Batch]:
+        """Few frames per flight, so that they cover many scenes."""
+        size = min(32, self.recipe.validation_frames)
+        flights = ObstacleFlights(quieter(self.recipe.stream, size))
+        try:
+            return list(islice(flights((seed, _VALIDATION)), self.recipe.validation_frames // size))
+        finally:
+            flights.close()
+
+    def validate(self, loss_module: nn.Module, batches: list[Batch], autocast: Any) -> Row:
+        """The loss; of obstacles within 3 m the share that is found; of what is taken for such the share that is an
+        obstacle; and the mean error of the distance, as a share of it.
+        """
+        assert isinstance(loss_module, ObstacleLoss)  # noqa: S101
+        device = next(loss_module.parameters()).device
+        loss_module.eval()
+        losses, found, there, right, taken, errors = [], 0.0, 0.0, 0.0, 0.0, []
+        with torch.no_grad(), autocast():
+            for batch in batches:
+                tensors = to_tensors(batch, device)
+                logits = loss_module.network.logits(tensors["image"]).float()
+                losses.append(float(loss_module.loss(logits, tensors["depth"])))
+                occupied, depth = occupied_and_depth(logits, loss_module.network.log_depths)
+                near, seen = tensors["depth"] < _NEAR_M, occupied > 0.5
+                found, there = found + float((near & seen).sum()), there + float(near.sum())
+                warned = seen & (depth < _NEAR_M)
+                right += float((warned & (tensors["depth"] < FARTHEST_M)).sum())
+                taken += float(warned.sum())
+                both = near & seen
+                errors.append((depth[both] / tensors["depth"][both].clamp(min=DEPTHS_M[0])).log().abs())
+        loss_module.train()
+        return {
+            "obstacles": float(np.mean(losses)),
+            "found": found / max(there, 1.0),
+            "right": right / max(taken, 1.0),
+            "distance error": float(torch.cat(errors).mean()) if sum(map(len, errors)) else float("nan"),
+        }
+
+    def trial(self, network: nn.Module) -> Row:
+        """Empty: there are no trials beside the curves."""
+        del network
+        return {}
+
+    def export(self, checkpoint: Path, folder: Path) -> None:
+        """The eye's file."""
+        # Processes that make batches do without ONNX.
+        from cognitivedrone.training.small_vla.export import provenance_of
+        from cognitivedrone.training.small_vla.graph import write_onnx
+
+        tensors, facts = read_checkpoint(checkpoint)
+        network = self.network()
+        restore(tensors, network, None)
+        example = {"image": torch.zeros(2, 256, 256, 3, dtype=torch.uint8)}
+        table = {"network": {"channels": list(self.recipe.channels)}, "provenance": asdict(provenance_of(facts))}
+        with replacing(folder / EYE_FILE) as beside:
+            write_onnx(network, example, ("occupied", "depth"), beside)
+            write_table(beside, EYE, table)
+            ObstacleEye.load(beside)  # a file that cannot be loaded never replaces the old one
+
+
+class ObstacleLoss(nn.Module):
+    """The network and its loss."""
+
+    def __init__(self, network: ObstacleNetwork) -> None:
+        super().__init__()
+        self.network = network
+        depths = torch.tensor(DEPTHS_M)
+        self.edges: Tensor
+        self.register_buffer("edges", torch.cat([(depths[1:] * depths[:-1]).sqrt(), torch.tensor([FARTHEST_M])]))
+
+    def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
+        """The loss; and, detached, the same."""
+        loss = self.loss(self.network.logits(batch["image"]).float(), batch["depth"])
+        return loss, {"obstacles": loss.detach()}
+
+    def loss(self, logits: Tensor, depth: Tensor) -> Tensor:
+        """Mean cross-entropy of the parts' distances."""
+        return F.cross_entropy(logits, torch.bucketize(depth, self.edges))
+
+
+OBSTACLES = ObstacleRecipe(
+    name="obstacles",
+    steps=5_000,
+    learning_rate=2e-3,
+    decay_share=0.5,
+    stream=ObstacleStreamRecipe(batch=48, layouts=0.7, places=0.5, learner=0.0, sampled=0.2, wander=0.7),
+)
+DEBUG_OBSTACLES = replace(
+    OBSTACLES,
+    name="debug-obstacles",
+    steps=6,
+    channels=(16, 16, 16),
+    stream=replace(OBSTACLES.stream, batch=4, worlds=4, sampled=0.5, pool=2),
+    warmup_steps=1,
+    round_steps=2,
+    validate_every=2,
+    validation_frames=8,
+    fly_every=0,
+)
