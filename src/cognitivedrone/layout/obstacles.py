@@ -106,7 +106,12 @@ def _crossing(first: Vectors, step: Vectors, half: Vectors) -> tuple[FloatArray,
     """After how many steps (...,) lines enter boxes at the origin, and leave them; sooner if they miss."""
     step = np.where(np.abs(step) < 1e-12, 1e-12, step)
     one, two = (-half - first) / step, (half - first) / step
-    return np.minimum(one, two).max(axis=-1), np.maximum(one, two).min(axis=-1)
+    enter, leave = np.minimum(one, two), np.maximum(one, two)
+    # Three numbers at a time: a reduction over so short an axis takes several times longer.
+    return (
+        np.maximum(np.maximum(enter[..., 0], enter[..., 1]), enter[..., 2]),
+        np.minimum(np.minimum(leave[..., 0], leave[..., 1]), leave[..., 2]),
+    )
 
 
 def solids_of(obstacles: Sequence[Obstacle], landmark: Landmark | None = None) -> Solids:

@@ -164,7 +164,7 @@ class ObstacleLoss(nn.Module):
 
 OBSTACLES = ObstacleRecipe(
     name="obstacles",
-    steps=5_000,
+    steps=3_500,
     learning_rate=2e-3,
     decay_share=0.5,
     stream=ObstacleStreamRecipe(batch=48, layouts=0.7, places=0.5, learner=0.0, sampled=0.45, wander=0.7, pool=16),
