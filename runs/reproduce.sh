@@ -33,9 +33,10 @@ exec 9< "$out" # open until the last program of the script has ended, and with i
 
 headline=(open-v2:words open-v2:pictures open-v1:unseen open-v2:layouts open-v2:absent open-v1:test open-v1:hard)
 case $size in
-  full) sets=(500 2000 8062) short=() episodes=() everything=1 selector=selector language=language
+  full) sets=(500 2000 8062) short=() episodes=() everything=1 selector=selector language=language obstacles=obstacles
     suites=("${headline[@]}" open-v2:test open-v1:track) ;;
   tiny) sets=(12) short=(--steps 3) episodes=(--episodes 3) everything='' selector=debug-selector language=debug-language
+    obstacles=debug-obstacles
     headline=(open-v1:test) suites=(open-v1:test) ;;
   *) echo "SIZE is $size; it must be full or tiny" >&2; exit 2 ;;
 esac
@@ -62,7 +63,8 @@ measure() { # NAME SCRIPT OPTIONS...
   "$python" "$here/benchmarks/$script.py" "$@" --out "$results/$name.json"
 }
 
-# The pilot: reading panels, the reasoner's choice, language, flying, flying anywhere, also in places; and the baseline without language.
+# The pilot: reading panels, the reasoner's choice, language, flying, flying anywhere, also in places; the baseline without
+# language; and the eye for obstacles.
 train reader reader
 train selector "$selector" --start "$out/reader/reader.safetensors"
 train language "$language" --start "$out/selector/checkpoint.safetensors"
@@ -70,7 +72,9 @@ train small small --start "$out/language/checkpoint.safetensors"
 train flight flight --start "$out/small/checkpoint.safetensors"
 train places places --start "$out/flight/checkpoint.safetensors"
 train race race
+train obstacles "$obstacles"
 for part in flight places; do
+  cp -p "$out/obstacles/obstacles.onnx" "$out/$part"
   mkdir -p "$out/reasoner-$part"
   cp -p "$out"/selector/*.onnx "$out/$part"/{panel_reader,language,text_encoder}.onnx "$out/reasoner-$part"
 done
@@ -151,9 +155,10 @@ fi
 if [[ $everything ]]; then
   clutter() { [[ -e $out/clutter/$1/results.json ]] || cognitivedrone bench --suite open-v3:clutter --out "$out/clutter/$1" --resume "${@:2}"; }
   clutter oracle --policy oracle
+  clutter small_gold --policy "$policy" --reasoner oracle
   clutter small --policy "$policy"
   clutter r1 --policy "$policy" --reasoner "$reasoner"
-  measure clutter clutter "$out"/clutter/{oracle,small,r1}
+  measure clutter clutter "$out"/clutter/{oracle,small_gold,small,r1}
 fi
 
 # results/audit_PILOT.json

@@ -440,7 +440,10 @@ TABLES: Final[dict[str, Description]] = {
     ),
     "clutter": lines_of(
         ("pilot", "passed", "right gate", "collisions, with obstacles", "a 100 m", "smallest clearance, passed", "SPL"),
-        *(Line("clutter", {"pilot": name}, (f"`{name}`", *PAST_OBSTACLES)) for name in ("oracle", "small", "r1")),
+        *(
+            Line("clutter", {"pilot": name}, (f"`{name}`", *PAST_OBSTACLES))
+            for name in ("oracle", "small_gold", "small", "r1")
+        ),
     ),
     # docs/play.md
     "live-page": rows_of(

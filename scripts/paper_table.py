@@ -22,7 +22,7 @@ from cognitivedrone.files import digest_of_file
 WEIGHTS = (
     "reader/reader.safetensors", "selector/gate_selector.onnx", "selector/picture_classifier.onnx",
     "language/text_encoder.onnx", "small/model.onnx", "flight/model.onnx", "flight/panel_reader.onnx",
-    "flight/language.onnx", "race/model.onnx",
+    "flight/language.onnx", "race/model.onnx", "obstacles/obstacles.onnx",
 )  # fmt: skip
 SUITE = "open-v1:test"
 

@@ -16,6 +16,7 @@ from tiny import DESCRIPTION, graph, tiny_model
 
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.models.checksum import BLANK, MARK, check, seal
+from cognitivedrone.models.eyes.obstacle_eye import ObstacleEye
 from cognitivedrone.models.eyes.picture_classifier import PictureClassifier
 from cognitivedrone.models.onnx_file import KEY
 from cognitivedrone.models.reasoner_file import GateSelectorModel, LanguageModel, PanelReaderModel
@@ -50,6 +51,7 @@ def test_a_sample_of_damaged_files_is_found(tmp_path: Path) -> None:
         ("race.onnx", SmallModel.load),
         ("reasoner/panel_reader.onnx", PanelReaderModel.load),
         ("picture_classifier.onnx", PictureClassifier.load),
+        ("obstacles.onnx", ObstacleEye.load),
         ("reasoner/gate_selector.onnx", GateSelectorModel.load),
         ("reasoner/language.onnx", LanguageModel.load),
         ("text_encoder.onnx", TextEncoderModel.load),

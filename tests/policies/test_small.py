@@ -368,3 +368,65 @@ def test_the_classifier_is_asked_about_one_panel_a_frame_and_its_opinions_are_of
     made.reset(EpisodeContext(TEXT))
     assert papers(made) == [-1.0] * 3
     made.close()
+
+
+# ---- obstacles
+
+
+class SeesWall:
+    """An eye that sees a wall 0.4 m ahead, in the left two thirds of every frame but black ones."""
+
+    def look(self, images):
+        occupied = np.zeros((len(images), 16, 16), np.float32)
+        occupied[images.any(axis=(1, 2, 3)), :, :10] = 0.9
+        return occupied, np.full_like(occupied, 0.4)
+
+
+@pytest.fixture
+def walled(policy):
+    policy._eye = SeesWall()
+    return policy
+
+
+BLACK = replace(OBSERVATION, image=np.zeros((256, 256, 3), np.uint8))
+AHEAD = replace(OBSERVATION, velocity=np.zeros(3, np.float32))
+
+
+def test_every_command_of_a_chunk_flies_around_what_the_eye_sees(walled):
+    straight = Small.act(walled.fork(), BLACK)
+    chunk = walled.act(AHEAD)
+    assert chunk.shape == straight.shape == (2, 4)
+    assert chunk.dtype == np.float32
+    assert (chunk != walled.last.action[0]).any(axis=1).all()
+    assert (np.linalg.norm(chunk[:, :3], axis=1) <= np.linalg.norm(walled.last.action[0][:, :3], axis=1) + 1e-6).all()
+    assert np.array_equal(straight, walled.fork().act(BLACK))
+
+
+def test_obstacles_are_remembered_in_a_flight_and_in_no_other_one(walled):
+    walled.act(AHEAD)
+    assert len(walled._avoidance._points)
+    assert not len(walled.fork()._avoidance._points)
+    walled.reset(EpisodeContext(TEXT))
+    assert not len(walled._avoidance._points)
+
+
+def test_flights_at_once_fly_around_obstacles_as_each_alone(walled):
+    observations = [replace(seen, velocity=np.zeros(3, np.float32)) for seen in several(5)]
+    answers = walled.act_batch([walled.fork() for _ in range(5)], observations)
+    for seen, answer in zip(observations, answers, strict=True):
+        assert np.array_equal(answer, walled.fork().act(seen))
+    walled.close()
+
+
+def test_an_eye_that_fails_fails_the_flight(walled, monkeypatch):
+    def fail(_):
+        raise PolicyError("the obstacle eye answers with values that are not numbers")
+
+    monkeypatch.setattr(walled._eye, "look", fail, raising=True)
+    with pytest.raises(PolicyError, match="not numbers"):
+        walled.act(OBSERVATION)
+
+
+def test_a_racing_policy_has_no_eye():
+    assert Race()._eye is None
+    assert Race().act(OBSERVATION).shape == (1, 4)

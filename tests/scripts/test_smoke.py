@@ -1,6 +1,6 @@
 """`runs/smoke.sh`: every step of `runs/reproduce.sh` in tiny sizes, from nothing to the paper's table.
 
-It trains eight models and flies with them, which takes minutes: `make test-smoke` runs it, `make test` leaves it out.
+It trains nine models and flies with them, which takes minutes: `make test-smoke` runs it, `make test` leaves it out.
 """
 
 from __future__ import annotations
@@ -54,7 +54,16 @@ def test_the_whole_story_runs_and_runs_again(tmp_path: Path) -> None:
         assert re.search(rf"^\| {system}\b", table, flags=re.MULTILINE)
     manifest = json.loads((tmp_path / "manifest.json").read_text())
     recipes = {entry["recipe"] for entry in manifest["files"].values()}
-    assert recipes == {"reader", "debug-selector", "debug-language", "small", "flight", "places", "race"}
+    assert recipes == {
+        "reader",
+        "debug-selector",
+        "debug-language",
+        "small",
+        "flight",
+        "places",
+        "race",
+        "debug-obstacles",
+    }
     for name, entry in manifest["files"].items():
         assert entry["sha256"] == digest_of_file(tmp_path / name)
 

@@ -19,7 +19,14 @@ def test_the_manifest_is_of_the_shipped_files() -> None:
     assert main(["--check"]) == 0
     files = json.loads((WEIGHTS / MANIFEST).read_text(encoding="utf-8"))
     reasoner = {f"reasoner/{name}.onnx" for name in ("gate_selector", "language", "panel_reader")}
-    assert set(files) == {"picture_classifier.onnx", "race.onnx", "small.onnx", "text_encoder.onnx", *reasoner}
+    assert set(files) == {
+        "obstacles.onnx",
+        "picture_classifier.onnx",
+        "race.onnx",
+        "small.onnx",
+        "text_encoder.onnx",
+        *reasoner,
+    }
     for facts in files.values():
         assert len(facts["commit"]) == 40, "trained from a commit, with nothing changed"
         assert facts["steps"] > 0 or facts["recipe"] == "classifier", "or taken as it was pretrained"

@@ -11,6 +11,7 @@ from typing import Any, Final, Literal
 from cognitivedrone.data.disk import read_json
 from cognitivedrone.data.layout import MANIFEST, read_manifest
 from cognitivedrone.errors import HubError
+from cognitivedrone.models.eyes.obstacle_eye import EYE_FILE, ObstacleEye
 from cognitivedrone.models.eyes.picture_classifier import CLASSIFIER_FILE, PictureClassifier
 from cognitivedrone.models.reasoner_file import (
     LANGUAGE_FILE,
@@ -134,4 +135,5 @@ _LOADERS: Final[dict[str, Any]] = {
     LANGUAGE_FILE: LanguageModel.load,
     ENCODER_FILE: TextEncoderModel.load,
     CLASSIFIER_FILE: PictureClassifier.load,
+    EYE_FILE: ObstacleEye.load,
 }

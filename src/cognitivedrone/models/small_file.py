@@ -133,6 +133,11 @@ class Output:
     panels: Float32[Float32Array, "images 3 4"] | None = None
     """(n, 3, 4) of each gate's panel: centre u, v and height in pixels, and the number of its gate's colour; None of
     models that do not ask the picture classifier."""
+    occupied: Float32[Float32Array, "images 16 16"] | None = None
+    """(n, 16, 16) for each part of the frame, rows from the top: probability of an obstacle, as the obstacle eye sees
+    it; None where nobody asked it."""
+    depth: Float32[Float32Array, "images 16 16"] | None = None
+    """(n, 16, 16) its distance along the camera's axis, m, if there is one."""
 
     def without_numbers(self) -> str | None:
         """The name of the first part that holds a value which is not a number; none if there is none."""

@@ -22,19 +22,16 @@ from cognitivedrone.types import IMAGE_SIZE, Action, FloatArray, Vector, Vectors
 _SIDES: Final = (IMAGE_SIZE / 2 - (np.arange(PARTS) + 0.5) * IMAGE_SIZE / PARTS) / FOCAL_PX
 _HALF_PART: Final = IMAGE_SIZE / PARTS / 2 / FOCAL_PX
 _EDGE: Final = 0.9 * IMAGE_SIZE / 2 / FOCAL_PX
-_AZIMUTHS, _ELEVATIONS = (
-    angles.ravel()
-    for angles in np.meshgrid(
-        np.radians(np.arange(-75.0, 76.0, 7.5)), np.radians(np.arange(-45.0, 46.0, 9.0)), indexing="ij"
-    )
-)
+_TURNS: Final = np.radians(np.arange(-75.0, 76.0, 7.5))
+_CLIMBS: Final = np.radians(np.arange(-45.0, 46.0, 9.0))
+_OTHERS: Final = np.array([(turn, climb) for turn in _TURNS for climb in _CLIMBS if abs(turn) + abs(climb) > 1e-9])
 
 
 @dataclass(frozen=True, slots=True)
 class AvoidanceConfig:
     """Parameters of the detour."""
 
-    sure: float = 0.5
+    sure: float = 0.8
     """Least probability of an obstacle that counts."""
     room_m: float = 0.38
     """Between the drone's centre and the obstacles on its way."""
@@ -94,7 +91,7 @@ class Avoidance:
         ahead = wanted / speed
         ways = _directions(ahead)
         turn = np.arccos(np.clip(ways @ ahead, -1.0, 1.0))
-        climb = np.abs(np.arcsin(ways[:, 2]) - np.arcsin(ahead[2]))
+        climb = np.abs(np.arcsin(np.clip(ways[:, 2], -1.0, 1.0)) - np.arcsin(np.clip(ahead[2], -1.0, 1.0)))
         later = height + _AHEAD_M * ways[:, 2]
         outside = np.maximum(config.lowest_m - later, 0.0) + np.maximum(later - config.highest_m, 0.0)
         lack = self._lack(ways, points[matters], self._radii[matters], distance[matters])
@@ -137,8 +134,8 @@ def _in_view(points: Vectors) -> NDArray[np.bool_]:
 
 def _directions(ahead: Vector) -> Vectors:
     """Unit vectors (n, 3): `ahead` itself first, then those around it."""
-    azimuth = np.arctan2(ahead[1], ahead[0]) + _AZIMUTHS
-    elevation = np.clip(np.arcsin(np.clip(ahead[2], -1.0, 1.0)) + _ELEVATIONS, -1.2, 1.2)
+    azimuth = np.arctan2(ahead[1], ahead[0]) + _OTHERS[:, 0]
+    elevation = np.clip(np.arcsin(np.clip(ahead[2], -1.0, 1.0)) + _OTHERS[:, 1], -1.2, 1.2)
     level = np.cos(elevation)
     around = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
     return np.concatenate([ahead[None], around])

@@ -15,9 +15,11 @@ import numpy as np
 
 from cognitivedrone.errors import ModelError, NonFiniteAction, PluginError, PolicyError
 from cognitivedrone.interfaces import Policy, attempt
+from cognitivedrone.models.eyes.obstacle_eye import ObstacleEye, eye_of
 from cognitivedrone.models.eyes.opinions import Opinions
 from cognitivedrone.models.onnx_file import check_model_file
 from cognitivedrone.models.small_file import Output, SmallModel
+from cognitivedrone.policies.avoidance import Avoidance
 from cognitivedrone.system import cores
 from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, FloatArray, Image, Observation
 
@@ -57,9 +59,10 @@ class Presence:
 class Small(Policy):
     """Flies a small model: the packaged one, or the file at `path`.
 
-    Its actions depend on the current observation only, but for two things: it declines, and hovers, when the first
-    frames agree that no gate matches the instruction; and what the picture classifier thought of a panel in earlier
-    frames counts. Raises `PolicyError` if the file is missing or unusable.
+    Its actions depend on the current observation only, but for three things: it declines, and hovers, when the first
+    frames agree that no gate matches the instruction; what the picture classifier thought of a panel in earlier frames
+    counts; and it remembers obstacles that have left its view, around which it flies (`avoidance`). Raises
+    `PolicyError` if the file is missing or unusable.
 
     For several flights at once it uses all cores, one frame at a time, so that each answer is that of `act` to the bit.
     With `stack`, up to so many frames go through the network together: faster, but rounded differently.
@@ -69,13 +72,18 @@ class Small(Policy):
 
     weights = "small.onnx"
     """The packaged file, in `cognitivedrone/models/weights`."""
+    avoids = True
+    """Whether it flies around what the obstacle eye sees."""
 
     def __init__(self, path: Path | str | None = None, *, stack: int = 1) -> None:
         if stack < 1:
             raise PluginError(f"policy 'small': stack is {stack}; it must be at least 1")
         self._stack = stack
         self._threads: ThreadPoolExecutor | None = None
-        self.model = SmallModel.load(self.file_of(path))
+        file = self.file_of(path)
+        self.model = SmallModel.load(file)
+        self._eye = ObstacleEye.load(eye_of(file)) if self.avoids else None
+        self._avoidance = Avoidance()
         self._opinions = None if self.model.opinions is None else self.model.opinions.fork()
         self.last: Output | None = None
         """The network's output for the last frame, n = 1, for viewers; none before the first."""
@@ -108,6 +116,7 @@ class Small(Policy):
         """
         self.last = None
         self._forget()
+        self._avoidance = Avoidance()
         self.declines = False
         self._listen(context.instruction)
 
@@ -118,7 +127,7 @@ class Small(Policy):
         `NonFiniteAction` if the network's output is not finite.
         """
         frame = self._frame(observation)
-        (output,) = _run(self.model, [frame])
+        (output,) = _run(self.model, self._eye, [frame])
         if isinstance(output, Exception):
             raise output
         return self._decide(frame, output)
@@ -127,6 +136,7 @@ class Small(Policy):
         """As `Policy.fork`."""
         other = copy.copy(self)
         other.last, other._text, other._threads = None, "", None
+        other._avoidance = Avoidance()
         other._presence, other.declines = Presence(), False
         other._opinions = None if self._opinions is None else self._opinions.fork()
         return other
@@ -153,7 +163,8 @@ class Small(Policy):
         if observation.instruction != self._text:
             self._listen(observation.instruction)
             self._forget()
-        return _Frame(_checked(observation.image), state_of(observation), self._text, self._opinions)
+        state = state_of(observation)
+        return _Frame(_checked(observation.image), state, self._text, self._opinions, observation.time)
 
     def _forget(self) -> None:
         """What earlier frames have shown."""
@@ -167,9 +178,9 @@ class Small(Policy):
         size = max(1, min(self._stack, -(-len(frames) // number)))
         groups = [frames[first : first + size] for first in range(0, len(frames), size)]
         if len(groups) < 2:
-            return [output for group in groups for output in _run(self.model, group)]
+            return [output for group in groups for output in _run(self.model, self._eye, group)]
         self._threads = self._threads or ThreadPoolExecutor(number, "small")
-        return [output for group in self._threads.map(partial(_run, self.model), groups) for output in group]
+        return [output for group in self._threads.map(partial(_run, self.model, self._eye), groups) for output in group]
 
     def _decided(self, frame: _Frame, output: Output | Exception) -> ActionChunk | Exception:
         return output if isinstance(output, Exception) else attempt(partial(self._decide, frame), output)
@@ -186,7 +197,16 @@ class Small(Policy):
                 " so for every frame, its weights are damaged: train or download it again"
             )
         self.declines = self._presence.update(output)
+        action = self._around(action, frame, output)
         return np.zeros_like(action) if self.declines else action
+
+    def _around(self, action: ActionChunk, frame: _Frame, output: Output) -> ActionChunk:
+        """The commands that fly around the obstacles of a frame, and those seen before."""
+        if output.occupied is None or output.depth is None:
+            return action
+        velocity, height, yaw_rate = frame.state[:3], float(frame.state[3]), float(frame.state[4])
+        self._avoidance.see(output.occupied[0], output.depth[0], velocity, yaw_rate, frame.time)
+        return np.stack([self._avoidance.around(each, velocity, height) for each in action])
 
     def _listen(self, text: str) -> None:
         if not text.strip():
@@ -207,10 +227,12 @@ class _Frame:
     text: str
     opinions: Opinions | None
     """Of the frame's flight."""
+    time: float
+    """Since the start of the flight, s."""
 
 
-def _run(model: SmallModel, frames: Sequence[_Frame]) -> Sequence[Output | Exception]:
-    """The outputs, n = 1, for frames that go through the network together; then their panels are looked at again."""
+def _run(model: SmallModel, eye: ObstacleEye | None, frames: Sequence[_Frame]) -> Sequence[Output | Exception]:
+    """The outputs, n = 1, for frames that go through the networks together; then their panels are looked at again."""
     images, states = (np.stack([getattr(frame, name) for frame in frames]) for name in ("image", "state"))
     opinions = [frame.opinions for frame in frames]
     outputs = attempt(partial(model.run, images, states, opinions=opinions), [frame.text for frame in frames])
@@ -221,6 +243,11 @@ def _run(model: SmallModel, frames: Sequence[_Frame]) -> Sequence[Output | Excep
             there = panels[gates[:, 2] > _VISIBLE]
             if frame.opinions is not None:
                 frame.opinions.look(frame.image, there[:, :3], there[:, 3].astype(int).tolist(), _LOOKS)
+    if eye is not None:
+        seen = attempt(eye.look, images)
+        if isinstance(seen, Exception):
+            return [seen] * len(frames)
+        outputs = replace(outputs, occupied=seen[0], depth=seen[1])
     values = {field.name: getattr(outputs, field.name) for field in fields(Output)}
     return [
         replace(outputs, **{name: value[row : row + 1] for name, value in values.items() if value is not None})
@@ -232,6 +259,7 @@ class Race(Small):
     """The racing model, for single gates of any kind. It reads no instruction: it is for "Fly through the gates"."""
 
     weights = "race.onnx"
+    avoids = False
 
 
 def state_of(observation: Observation) -> FloatArray:
