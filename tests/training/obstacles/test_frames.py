@@ -57,7 +57,7 @@ def outcomes(headlong: float, flights: int) -> list[str]:
             ended.extend(result.outcome for result in results if result is not None)
             return results
 
-        stream._worlds.advance = watched  # type: ignore[method-assign]
+        stream._worlds.advance = watched
         while len(ended) < flights:
             batch = next(batches)
             assert batch["depth"].shape == (CALM.batch, PARTS, PARTS)

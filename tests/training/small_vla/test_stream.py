@@ -153,7 +153,12 @@ def test_a_share_of_the_flights_is_in_places_that_models_are_trained_in(monkeypa
 
 
 def test_recipes_of_before_see_no_places() -> None:
-    assert {name for name, each in ALL_RECIPES.items() if _sees_places(each)} == {"places", "reader-places"}
+    assert {name for name, each in ALL_RECIPES.items() if _sees_places(each)} == {
+        "places",
+        "reader-places",
+        "obstacles",
+        "debug-obstacles",
+    }
 
 
 def _sees_places(recipe: Any) -> bool:
