@@ -170,7 +170,7 @@ class Bolder(WithFile):
 @pytest.mark.parametrize(
     ("name", "written"),
     [
-        ("small", "small[:PATH][,stack=NUMBER]"),
+        ("small", "small[:PATH][,stack=NUMBER][,avoid=yes|no]"),
         ("hover", "hover"),
         ("lerobot", "lerobot:FOLDER[,device=cuda|cpu]"),
         (

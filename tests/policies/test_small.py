@@ -427,6 +427,13 @@ def test_an_eye_that_fails_fails_the_flight(walled, monkeypatch):
         walled.act(OBSERVATION)
 
 
+def test_it_flies_without_its_eye_where_it_is_told_to(tmp_path):
+    policy = make_policy(f"small:{open_model_file(tmp_path / 'model.onnx')},avoid=no")
+    policy.reset(EpisodeContext(TEXT))
+    assert np.array_equal(policy.act(AHEAD), policy.last.action[0])
+    assert policy.last.occupied is None
+
+
 def test_a_racing_policy_has_no_eye():
     assert Race()._eye is None
     assert Race().act(OBSERVATION).shape == (1, 4)

@@ -65,7 +65,8 @@ class Small(Policy):
     `PolicyError` if the file is missing or unusable.
 
     For several flights at once it uses all cores, one frame at a time, so that each answer is that of `act` to the bit.
-    With `stack`, up to so many frames go through the network together: faster, but rounded differently.
+    With `stack`, up to so many frames go through the network together: faster, but rounded differently. Without `avoid`
+    it sees no obstacles.
     """
 
     reads_english_only = True
@@ -73,16 +74,16 @@ class Small(Policy):
     weights = "small.onnx"
     """The packaged file, in `cognitivedrone/models/weights`."""
     avoids = True
-    """Whether it flies around what the obstacle eye sees."""
+    """Whether it can fly around what the obstacle eye sees."""
 
-    def __init__(self, path: Path | str | None = None, *, stack: int = 1) -> None:
+    def __init__(self, path: Path | str | None = None, *, stack: int = 1, avoid: bool = True) -> None:
         if stack < 1:
             raise PluginError(f"policy 'small': stack is {stack}; it must be at least 1")
         self._stack = stack
         self._threads: ThreadPoolExecutor | None = None
         file = self.file_of(path)
         self.model = SmallModel.load(file)
-        self._eye = ObstacleEye.load(eye_of(file)) if self.avoids else None
+        self._eye = ObstacleEye.load(eye_of(file)) if avoid and self.avoids else None
         self._avoidance = Avoidance()
         self._opinions = None if self.model.opinions is None else self.model.opinions.fork()
         self.last: Output | None = None
@@ -97,7 +98,7 @@ class Small(Policy):
         return self._presence.mean if self._presence.frames else None
 
     @classmethod
-    def file_of(cls, path: Path | str | None = None, *, stack: int = 1) -> Path:  # noqa: ARG003
+    def file_of(cls, path: Path | str | None = None, *, stack: int = 1, avoid: bool = True) -> Path:  # noqa: ARG003
         """The model file of a policy made with `path`; raises `ModelError` if it does not exist or is too large."""
         packaged = Path(str(resources.files("cognitivedrone.models") / "weights" / cls.weights))
         if path is None and not packaged.is_file():
