@@ -25,6 +25,13 @@ _EDGE: Final = 0.9 * IMAGE_SIZE / 2 / FOCAL_PX
 _TURNS: Final = np.radians(np.arange(-75.0, 76.0, 7.5))
 _CLIMBS: Final = np.radians(np.arange(-45.0, 46.0, 9.0))
 _OTHERS: Final = np.array([(turn, climb) for turn in _TURNS for climb in _CLIMBS if abs(turn) + abs(climb) > 1e-9])
+_HOVERING_M_S: Final = 0.15  # slower commands stay as they are
+_AHEAD_M: Final = 1.2  # on a way, where its height is looked at
+_CLIMB: Final = 0.35  # rather beside than over or under: gates stand at about the drone's own height
+_BLOCKED: Final = 6.0  # rad of turning that a blocked way is worth
+_OUTSIDE: Final = 4.0  # rad for each metre too high or too low
+_STEADY: Final = 0.15  # of a turn away from the detour that is flown
+_SLOWEST, _SLOWING = 0.55, 0.45  # share of the speed; per rad of a turn
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,15 +120,6 @@ class Avoidance:
         lack = np.clip((room - between) / room, 0.0, 2.0) * (along > 0)
         found: FloatArray = (lack * np.minimum(1 / np.maximum(distance, 0.5), 1.0)).max(axis=1)
         return found
-
-
-_HOVERING_M_S: Final = 0.15  # slower commands stay as they are
-_AHEAD_M: Final = 1.2  # on a way, where its height is looked at
-_CLIMB: Final = 0.35  # rather beside than over or under: gates stand at about the drone's own height
-_BLOCKED: Final = 6.0  # rad of turning that a blocked way is worth
-_OUTSIDE: Final = 4.0  # rad for each metre too high or too low
-_STEADY: Final = 0.15  # of a turn away from the detour that is flown
-_SLOWEST, _SLOWING = 0.55, 0.45  # share of the speed; per rad of a turn
 
 
 def _in_view(points: Vectors) -> NDArray[np.bool_]:

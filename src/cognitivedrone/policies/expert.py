@@ -174,10 +174,10 @@ class Detour:
             return None
         return cls(stage, target, truth.hull_radius, truth.state().position, config)
 
-    def wish(self, position: Vector, velocity: Vector, *, flying: bool = True) -> Vectors | None:
+    def wish(self, position: Vector, velocity: Vector) -> Vectors | None:
         """The velocity (3,) along the way, world, m/s; none where the ordinary path to the gate is clear.
 
-        A drone that is `flying` stays on the way that it was led before; else the answer depends on this state alone.
+        The drone stays on the way that it was led before.
         """
         config = self._config
         here, motion = self._local(position), world_to_heading(velocity, self._yaw)
@@ -194,9 +194,7 @@ class Detour:
                 break
         if self._is_clear(start):
             return None
-        following = self._ways.ahead(start, self._last if flying else None)
-        if flying:
-            self._last = following
+        self._last = following = self._ways.ahead(start, self._last)
         if following is None:
             return None
         point, after = self._ways.points[following], int(self._ways.following[following])

@@ -73,8 +73,6 @@ class Small(Policy):
 
     weights = "small.onnx"
     """The packaged file, in `cognitivedrone/models/weights`."""
-    avoids = True
-    """Whether it can fly around what the obstacle eye sees."""
 
     def __init__(self, path: Path | str | None = None, *, stack: int = 1, avoid: bool = True) -> None:
         if stack < 1:
@@ -83,7 +81,7 @@ class Small(Policy):
         self._threads: ThreadPoolExecutor | None = None
         file = self.file_of(path)
         self.model = SmallModel.load(file)
-        self._eye = ObstacleEye.load(eye_of(file)) if avoid and self.avoids else None
+        self._eye = ObstacleEye.load(eye_of(file)) if avoid else None
         self._avoidance = Avoidance()
         self._opinions = None if self.model.opinions is None else self.model.opinions.fork()
         self.last: Output | None = None
@@ -260,7 +258,9 @@ class Race(Small):
     """The racing model, for single gates of any kind. It reads no instruction: it is for "Fly through the gates"."""
 
     weights = "race.onnx"
-    avoids = False
+
+    def __init__(self, path: Path | str | None = None, *, stack: int = 1) -> None:
+        super().__init__(path, stack=stack, avoid=False)
 
 
 def state_of(observation: Observation) -> FloatArray:

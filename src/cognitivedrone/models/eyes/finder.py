@@ -31,11 +31,11 @@ REACH = 1.15
 
 
 class Block(nn.Module):
-    """Two 3 x 3 convolutions around a shortcut, with batch normalisation."""
+    """Two 3 x 3 convolutions around a shortcut, with batch normalisation; `dilation` is that of the first."""
 
-    def __init__(self, inputs: int, outputs: int, stride: int = 1) -> None:
+    def __init__(self, inputs: int, outputs: int, stride: int = 1, dilation: int = 1) -> None:
         super().__init__()
-        self.first = nn.Conv2d(inputs, outputs, 3, stride, 1, bias=False)
+        self.first = nn.Conv2d(inputs, outputs, 3, stride, dilation, dilation, bias=False)
         self.second = nn.Conv2d(outputs, outputs, 3, 1, 1, bias=False)
         self.norm1, self.norm2 = nn.BatchNorm2d(outputs), nn.BatchNorm2d(outputs)
         self.shortcut: nn.Module = nn.Identity()

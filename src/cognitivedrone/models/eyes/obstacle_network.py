@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
+from cognitivedrone.models.eyes.finder import Block
 from cognitivedrone.models.eyes.obstacle_eye import DEPTHS_M
 
 Channels = tuple[int, int, int]
@@ -26,10 +27,10 @@ class ObstacleNetwork(nn.Module):
         first, second, third = channels
         self.stem = nn.Sequential(nn.Conv2d(3, first, 4, 2, 1, bias=False), nn.BatchNorm2d(first), nn.ReLU())
         self.body = nn.Sequential(
-            _Block(first, second, stride=2),
-            _Block(second, third, stride=2),
-            _Block(third, third, dilation=2),
-            _Block(third, third, dilation=4),
+            Block(first, second, stride=2),
+            Block(second, third, stride=2),
+            Block(third, third, dilation=2),
+            Block(third, third, dilation=4),
         )
         self.head = nn.Conv2d(third, len(DEPTHS_M) + 1, 1)
         self.log_depths: Tensor
@@ -46,27 +47,6 @@ class ObstacleNetwork(nn.Module):
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor]:
         """As `ObstacleEye.look`."""
         return occupied_and_depth(self.logits(image).float(), self.log_depths)
-
-
-class _Block(nn.Module):
-    """A residual block of two 3 x 3 convolutions."""
-
-    def __init__(self, channels: int, to: int, stride: int = 1, dilation: int = 1) -> None:
-        super().__init__()
-        self.main = nn.Sequential(
-            nn.Conv2d(channels, to, 3, stride, dilation, dilation, bias=False),
-            nn.BatchNorm2d(to),
-            nn.ReLU(),
-            nn.Conv2d(to, to, 3, 1, 1, bias=False),
-            nn.BatchNorm2d(to),
-        )
-        same = channels == to and stride == 1
-        self.skip = (
-            nn.Identity() if same else nn.Sequential(nn.Conv2d(channels, to, 1, stride, bias=False), nn.BatchNorm2d(to))
-        )
-
-    def forward(self, features: Tensor) -> Tensor:
-        return F.relu(self.main(features) + self.skip(features))
 
 
 def occupied_and_depth(logits: Tensor, log_depths: Tensor) -> tuple[Tensor, Tensor]:
