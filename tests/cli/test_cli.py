@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import itertools
 import json
 import platform
 import re
@@ -234,9 +235,19 @@ def test_help_has_no_two_blank_lines(capsys, name):
     assert "\n\n\n" not in printed
 
 
+@pytest.mark.parametrize("name", TARGETS)
+def test_help_breaks_lines_only_where_they_are_full(capsys, monkeypatch, name):
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = [line[1:-2] for line in printed_help(capsys, name).splitlines() if line.startswith("│")]
+    for line, following in itertools.pairwise(lines):
+        column = len(following) - len(following.lstrip())
+        if column > 15 and line[column - 1 : column + 1].strip() and line[column - 1] == " ":  # both are help
+            assert len(line.rstrip()) + 1 + len(following.split()[0]) > len(line), line
+
+
 def printed_help(capsys: pytest.CaptureFixture[str], name: str) -> str:
     with pytest.raises(SystemExit):
-        main([name, "--help"])
+        main([*name.split(), "--help"])
     return re.sub(" +\n", "\n", capsys.readouterr().out)
 
 

@@ -11,6 +11,7 @@ import functools
 import importlib
 import inspect
 import os
+import re
 import sys
 import tempfile
 import traceback
@@ -18,7 +19,9 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, NoReturn
 
+import docstring_parser
 import tyro
+from docstring_parser import Docstring, DocstringStyle
 
 from cognitivedrone.cli.streams import prepare_streams
 from cognitivedrone.errors import CognitiveDroneError, MissingExtra, UsageError, did_you_mean, plain_warnings
@@ -165,9 +168,21 @@ def _run(arguments: list[str], ending: Ending) -> None:
     command = load(name)
     if command.__doc__ is not None:
         command.__doc__ = command.__doc__.replace(":\n\n", ":\n")  # of which tyro's help would make two blank lines
+    docstring_parser.parse_from_object = _parse_from_object
     words = arguments[len(name.split()) :]
     check_words(words)
     tyro.cli(_checked(command, ending), prog=f"{PROGRAM} {name}", args=words)
+
+
+def _parse_from_object(obj: Any, style: DocstringStyle = DocstringStyle.AUTO) -> Docstring:
+    """The docstring of an object, for tyro, which would break an attribute's lines as they are in the source."""
+    found = _as_in_the_source(obj, style)
+    for each in found.params:
+        each.description = re.sub(r"(?<!\n)\n(?![\n\s-])", " ", inspect.cleandoc(each.description or ""))
+    return found
+
+
+_as_in_the_source = docstring_parser.parse_from_object
 
 
 def _checked(command: Callable[..., None], ending: Ending) -> Callable[..., None]:
