@@ -161,5 +161,8 @@ if not (child := os.fork()):
 print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 one.render()
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    quiet = "ignore::DeprecationWarning"  # Python 3.12 warns of every fork of a process with threads
+    done = subprocess.run(
+        [sys.executable, "-W", quiet, "-c", program], capture_output=True, text=True, timeout=60, check=False
+    )
     assert (done.stdout, done.stderr, done.returncode) == ("child\n3\n", "", 0)
