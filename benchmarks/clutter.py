@@ -2,7 +2,8 @@
 
 python benchmarks/clutter.py results/oracle results/small --out results/clutter.json
 
-Each run is the folder that `cognitivedrone bench --suite open-v3:clutter --policy P --reasoner R --out FOLDER` made.
+Each run is the folder that `cognitivedrone bench --suite open-v3:clutter --policy P --reasoner R --out FOLDER` made, or
+one of `open-v3:moving`.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ def row_of(run: Path) -> dict[str, object]:
     summary = read_results(run).summary()
     past, overall = summary.obstacles, summary.overall
     if past is None or past.per_100_m is None:
-        raise RunError(f"{run} has no flight past obstacles; give runs of open-v3:clutter")
+        raise RunError(f"{run} has no flight past obstacles; give runs of open-v3:clutter or moving")
     outcomes = {outcome: count for outcome, count in overall.outcomes.items() if count and outcome != "passed"}
     return {
         "pilot": run.name,
@@ -51,9 +52,10 @@ def row_of(run: Path) -> dict[str, object]:
 def main(config: Config) -> None:
     """Print and keep the figures."""
     rows = [row_of(run) for run in config.runs]
+    suites = ", ".join(sorted({read_results(run).run.suite.name for run in config.runs}))
     for row in rows:
         print(json.dumps(row))
-    keep(config.out, "flights past the obstacles of the suite open-v3:clutter", rows, seed=0)
+    keep(config.out, f"flights past the obstacles of the suite {suites}", rows, seed=0)
 
 
 if __name__ == "__main__":

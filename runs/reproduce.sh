@@ -151,14 +151,17 @@ if [[ $everything ]]; then
   measure missions missions "$out"/missions/{oracle,small_gold,small,r1}
 fi
 
-# results/clutter.json
+# results/clutter.json and moving.json
 if [[ $everything ]]; then
-  clutter() { [[ -e $out/clutter/$1/results.json ]] || cognitivedrone bench --suite open-v3:clutter --out "$out/clutter/$1" --resume "${@:2}"; }
-  clutter oracle --policy oracle
-  clutter small_gold --policy "$policy" --reasoner oracle
-  clutter small --policy "$policy"
-  clutter r1 --policy "$policy" --reasoner "$reasoner"
+  past() { [[ -e $out/$1/$2/results.json ]] || cognitivedrone bench --suite "open-v3:$1" --out "$out/$1/$2" --resume "${@:3}"; }
+  for suite in clutter moving; do
+    past "$suite" oracle --policy oracle
+    past "$suite" small_gold --policy "$policy" --reasoner oracle
+    past "$suite" small --policy "$policy"
+    past "$suite" r1 --policy "$policy" --reasoner "$reasoner"
+  done
   measure clutter clutter "$out"/clutter/{oracle,small_gold,small,r1}
+  measure moving clutter "$out"/moving/{oracle,small_gold,small,r1}
 fi
 
 # results/audit_PILOT.json

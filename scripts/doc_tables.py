@@ -438,13 +438,24 @@ TABLES: Final[dict[str, Description]] = {
             "collisions per 100 m": "{collisions_per_100_m:.1f}",
         },
     ),
-    "clutter": lines_of(
-        ("pilot", "passed", "right gate", "collisions, with obstacles", "a 100 m", "smallest clearance, passed", "SPL"),
-        *(
-            Line("clutter", {"pilot": name}, (f"`{name}`", *PAST_OBSTACLES))
-            for name in ("oracle", "small_gold", "small", "r1")
-        ),
-    ),
+    **{
+        suite: lines_of(
+            (
+                "pilot",
+                "passed",
+                "right gate",
+                "collisions, with obstacles",
+                "a 100 m",
+                "smallest clearance, passed",
+                "SPL",
+            ),
+            *(
+                Line(suite, {"pilot": name}, (f"`{name}`", *PAST_OBSTACLES))
+                for name in ("oracle", "small_gold", "small", "r1")
+            ),
+        )
+        for suite in ("clutter", "moving")
+    },
     # docs/play.md
     "live-page": rows_of(
         "live_page",

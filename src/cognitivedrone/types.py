@@ -60,7 +60,7 @@ Category = Literal["human_recognition", "symbol_understanding", "reasoning", "ra
 Size = Literal["big", "small"]
 Shape = Literal["round", "square", "triangle"]
 Color = Literal["red", "green", "blue"]
-ObstacleKind = Literal["pillar", "wall", "beam", "frame"]
+ObstacleKind = Literal["pillar", "wall", "beam", "frame", "person"]
 """What is in the way: an upright cylinder, a wall on the floor, a beam above it, or an empty frame without a panel."""
 Outcome = Literal[
     "passed",
@@ -124,22 +124,28 @@ Layout: TypeAlias = tuple[GatePlace, GatePlace, GatePlace]
 
 @dataclass(frozen=True, slots=True)
 class Obstacle:
-    """Something in the way, in the frame of its stage: m, rad. Nothing moves."""
+    """Something in the way, in the frame of its stage: m, rad, s."""
 
     kind: ObstacleKind
     x: float
-    """Of its centre."""
+    """Of its centre; of the middle between the ends of its way, if it moves."""
     y: float
     width: float
-    """To its left and right; a pillar's diameter."""
+    """To its left and right; the diameter of a pillar or a person."""
     height: float
     """From its lower to its upper edge."""
     depth: float = 0.1
-    """Along its heading, of all but pillars."""
+    """Along its heading, of all but pillars and persons."""
     yaw: float = 0.0
     """Its heading."""
     above: float = 0.0
     """Of its lower edge above ground."""
+    sway: float = field(default=0.0, metadata={"json": "where set"})
+    """How far it moves to its left and right, as a pendulum does; 0 stands still."""
+    period: float = field(default=8.0, metadata={"json": "where set"})
+    """From one end of its way and back."""
+    phase: float = field(default=0.0, metadata={"json": "where set"})
+    """Of that movement when the flight begins: at pi / 2 it is farthest left."""
 
 
 @dataclass(frozen=True, slots=True)

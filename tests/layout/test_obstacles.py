@@ -105,3 +105,55 @@ def test_ways_lead_around_and_keep_their_margin(obstacles):
 def test_there_is_no_way_through_a_closed_wall():
     closed = tuple(Obstacle("wall", 2.0, float(y), 4.0, 5.0, 0.1) for y in (-6, -2, 2, 6))
     assert ways_to(1, closed, None, None, 0.3).ahead(np.array([-1.0, 0.0, 0.9])) is None
+
+
+MOVING = Obstacle("pillar", 2.0, 0.0, 0.4, 2.0, yaw=np.pi / 2, sway=1.0, period=8.0)
+
+
+def test_what_moves_is_at_its_left_end_after_a_quarter_of_its_period():
+    solids = solids_of((MOVING, WALL))
+    assert solids.at(0.0).centers[0] == pytest.approx([2.0, 0.0, 1.0])
+    assert solids.at(2.0).centers[0] == pytest.approx([1.0, 0.0, 1.0])  # its left is where -x is
+    assert solids.at(6.0).centers[0] == pytest.approx([3.0, 0.0, 1.0])
+    assert (solids.at(2.0).centers[1] == solids_of((WALL,)).centers[0]).all()
+    assert solids_of((PILLAR, WALL)).motion is None
+    assert solids_of((PILLAR,)).at(3.0).centers[0] == pytest.approx([2.0, 0.0, 1.0])
+
+
+def test_each_point_has_its_own_time():
+    points, times = np.array([[1.0, 0.0, 1.0]] * 3), np.array([0.0, 2.0, 6.0])
+    distance = solids_of((MOVING, WALL)).at(times).distance(points)
+    assert distance[:, 0] == pytest.approx([0.8, 0.0, 1.8])
+    assert len({*distance[:, 1]}) == 1
+
+
+@pytest.mark.parametrize("kind", ["pillar", "person", "wall", "beam", "frame"])
+def test_what_moves_stays_in_the_space_that_is_kept_for_it(kind):
+    rng = np.random.default_rng(0)
+    obstacle = Obstacle(kind, 2.0, 0.5, 0.8, 1.0, 0.2, 0.7, 0.3, sway=0.9, period=5.0, phase=1.0)
+    solids, swept = solids_of((obstacle,)), solids_of((obstacle,)).swept()
+    points = rng.uniform([0.0, -2.0, 0.0], [4.0, 3.0, 2.0], (4000, 3))
+    touched = np.array([solids.at(time).distance(points) == 0 for time in np.linspace(0.0, 5.0, 41)])
+    kept = swept.distance(points) == 0
+    assert touched.any()
+    assert not (touched & ~kept).any()
+    assert (kept & ~touched.any(axis=0)).sum() < 0.4 * kept.sum()
+
+
+def test_a_person_is_a_body_with_a_smaller_head():
+    distance = solids_of((Obstacle("person", 2.0, 0.0, 0.5, 1.8),)).distance
+    body, head = distance(np.array([[2.0, 1.0, 1.0], [2.0, 1.0, 1.7]])).min(axis=1)
+    assert (body, head) == (pytest.approx(0.75), pytest.approx(np.hypot(0.75, 1.7 - 0.84 * 1.8)))
+    assert distance(np.array([2.0, 0.0, 1.79])).min() == 0
+
+
+def test_ways_lead_around_all_that_is_passed_by_what_moves():
+    person = Obstacle("person", 2.5, 0.0, 0.5, 1.8, sway=1.2, period=10.0)
+    ways = ways_to(1, (person,), None, None, 0.3)
+    path, following = [np.array([-1.0, 0.0, 0.9])], ways.ahead(np.array([-1.0, 0.0, 0.9]))
+    while following is not None and following >= 0:
+        path.append(ways.points[following])
+        following = int(ways.following[following])
+    points = np.concatenate([np.linspace(a, b, 40) for a, b in itertools.pairwise(path)])
+    for time in np.linspace(0.0, 10.0, 21):
+        assert solids_of((person,)).at(time).distance(points).min() > 0.25

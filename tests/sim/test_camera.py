@@ -303,3 +303,16 @@ def test_obstacles_are_drawn_where_they_are_and_a_landmark_shows_its_picture(cam
     assert changed == [True, True, True, True, False]
     for (column, row), color in zip(pixels[2:4], (QUARTERS[-1, 1], QUARTERS[1, 1]), strict=True):
         np.testing.assert_allclose(after[row, column], color, atol=8)
+
+
+def test_what_moves_is_drawn_where_it_is_at_the_time_of_each_frame(cameras: Cameras) -> None:
+    person = Obstacle("person", 2.0, 0.0, 0.5, 1.8, sway=0.8, period=8.0)
+    stage = replace(TURNED, obstacles=(person,))
+    place = rotate_yaw(START, stage.yaw) + np.array([*stage.origin, 0.0])
+    pose = np.tile(place, (3, 1)), np.tile(quaternion_from_yaw(stage.yaw), (3, 1))
+    cameras.set_stage(0, stage, [GREY] * 3)
+    seen = cameras.first_person(*pose, slots=[0, 0, 0], times=[2.0, 6.0, 2.0])
+    assert (seen[0] == seen[2]).all()
+    for image, side in zip(seen, (0.8, -0.8), strict=False):
+        cameras.set_stage(0, replace(stage, obstacles=(replace(person, y=side, sway=0.0),)), [GREY] * 3)
+        assert (cameras.first_person(pose[0][:1], pose[1][:1])[0] == image).all()

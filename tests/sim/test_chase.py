@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.sim.drawing.chase import ChaseView
 from cognitivedrone.sim.drone_world import Scenery
-from cognitivedrone.types import Gate, Stage
+from cognitivedrone.types import Gate, Obstacle, Stage
 
 LEVEL = quaternion_from_yaw(0.0)
 STAGE = Stage(
@@ -79,3 +80,15 @@ def test_a_closed_view_says_so() -> None:
         view.frame((0.0, 0.0, 1.0), LEVEL)
     with pytest.raises(RenderError, match="closed"):
         view.place(STAGE, SCENERY)
+
+
+def test_what_moves_is_where_it_is_at_that_time(view: ChaseView) -> None:
+    person = Obstacle("person", 2.0, 0.0, 0.5, 1.8, sway=0.8, period=8.0)
+    view.place(replace(STAGE, obstacles=(person,)), SCENERY)
+    view.cut()
+    first, left = (view.frame((0.0, 0.0, 1.0), LEVEL, 0.0, time) for time in (0.0, 2.0))
+    assert (first != left).any()
+    assert (view.frame((0.0, 0.0, 1.0), LEVEL, 0.0, 8.0) == first).mean() > 0.999
+    view.place(replace(STAGE, obstacles=(replace(person, y=0.8, sway=0.0),)), SCENERY)
+    assert (view.frame((0.0, 0.0, 1.0), LEVEL, 0.0) == left).all()
+    view.place(STAGE, SCENERY)

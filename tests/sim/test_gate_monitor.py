@@ -194,3 +194,17 @@ def test_contact_with_an_obstacle_ends_the_flight_and_the_smallest_room_is_kept(
     plain = GateMonitor(stage_with(gates[0]), np.zeros(3), HULL, SQUARE)
     plain.follow(np.ones((3, 3)))
     assert plain.obstacle_m is None
+
+
+def test_what_moves_hits_a_drone_that_hovers_beside_it():
+    gates = (Gate("big", "round", "red"), Gate("big", "square", "green"), Gate("big", "square", "blue"))
+    pillar = Obstacle("pillar", 1.0, 0.0, 0.4, 2.0, sway=1.0, period=8.0)
+    stage = Stage(gates, ("letter/A@inter",) * 3, origin=(3.0, -1.0), yaw=0.5, obstacles=(pillar,))
+    hover = geometry.rotate_yaw(np.array([1.0, 0.8, 1.0]), 0.5) + np.array([3.0, -1.0, 0.0])
+    monitor = GateMonitor(stage, hover, HULL, SQUARE)
+    touches = 8.0 / (2 * np.pi) * np.arcsin(0.8 - 0.2 - HULL)  # when its surface reaches the hull
+    steps = [(step, monitor.follow(np.tile(hover, (10, 1)), 0.1 * step, 0.1 * (step + 1))) for step in range(20)]
+    (first, event), *_ = [(step, event) for step, event in steps if event is not None]
+    assert event.kind == "collision"
+    assert 0.1 * first + 0.01 * event.sample == pytest.approx(touches, abs=0.011)
+    assert monitor.obstacle_m == 0.0

@@ -15,6 +15,8 @@ from cognitivedrone.tasks import load_suite, train_task
 from cognitivedrone.tasks.families.clutter import (
     CLEAR_M,
     KINDS,
+    MOVERS,
+    ROWS_M,
     SEEN,
     cluttered,
     has_ways,
@@ -24,6 +26,7 @@ from cognitivedrone.tasks.families.clutter import (
 )
 from cognitivedrone.tasks.format import task_from_json, task_to_json
 
+MOVING = [task for (task,) in load_suite("open-v3:moving").tracks]
 TASKS = [task for (task,) in load_suite("open-v3:clutter").tracks]
 PLAIN = next(task for (task,) in load_suite("open-v1:test").tracks if task.board is None)
 PILLAR = {"kind": "pillar", "x": 2.0, "y": 0.5, "width": 0.3, "height": 2.0}
@@ -46,6 +49,37 @@ def test_something_is_in_the_way_but_there_is_a_way_and_the_panels_are_seen(task
     assert has_ways(task)
     assert CLEAR_M > 0.28 + 0.1
     assert seen_share(solids_of(task.obstacles, task.landmark), task.layout) >= SEEN
+
+
+def test_in_every_stage_something_moves_and_the_gates_are_in_two_rows():
+    for task in MOVING:
+        first, *others = task.obstacles
+        assert first.sway > 0
+        assert not any(each.sway for each in others[1:])
+        depths = [place.x for place in task.layout]
+        assert max(depths) - min(depths) >= ROWS_M
+    assert {each.kind for task in MOVING for each in task.obstacles if each.sway} == set(MOVERS)
+    assert sum(task.obstacles[0].kind == "person" for task in MOVING) == len(MOVING) / 2
+    assert {len(task.obstacles) for task in MOVING} == {*range(1, 6)}
+
+
+@pytest.mark.parametrize("task", MOVING[::20], ids=lambda task: task.id)
+def test_wherever_the_moving_things_are_there_is_a_way_and_the_panels_are_seen(task):
+    assert is_in_the_way(task)
+    assert has_ways(task)
+    solids = solids_of(task.obstacles, task.landmark)
+    for time in np.linspace(0.0, task.obstacles[0].period, 12):
+        assert seen_share(solids.at(time), task.layout) >= SEEN
+
+
+def test_a_file_holds_how_something_moves():
+    swaying = {**PILLAR, "sway": 0.5, "phase": 1.5}
+    task = read([swaying, {**PILLAR, "kind": "person", "y": -2.0, "width": 0.5, "height": 1.8}])
+    assert (task.obstacles[0].sway, task.obstacles[0].period, task.obstacles[0].yaw) == (0.5, 8.0, 0.0)
+    entries = task_to_json(task)["obstacles"]
+    assert entries[0] == {**swaying, "period": 8.0, "yaw": 0.0}
+    assert entries[1].keys() == PILLAR.keys()
+    assert task_from_json(json.loads(json.dumps(task_to_json(task))), where="x") == task
 
 
 def test_equal_seeds_draw_equal_obstacles():
@@ -93,6 +127,12 @@ def read(obstacles, landmark=None, **more):
         ([{**PILLAR, "x": 5.1, "y": 0.2}], "overlaps the opening or the panel of gate 2; move it away"),
         ([WALL, {**BEAM, "x": 4.0, "y": 4.0, "above": 2.6}], "obstacle 2, a beam, overlaps the opening or the panel"),
         ([{**BEAM, "kind": "frame"}], "too narrow for an opening"),
+        ([{**PILLAR, "period": 3.0}], "has the unknown key 'period'; it has x, y, width, height"),
+        ([{**PILLAR, "sway": 1.0, "perod": 3.0}], "has the unknown key 'perod'; it has x, y, width, height, yaw, sway"),
+        ([{**PILLAR, "sway": -1.0}], "obstacle 1, a pillar, has sway -1; make it 0 to 3"),
+        ([{**PILLAR, "sway": 0.5, "period": 0}], "obstacle 1, a pillar, has period 0; make it 1 to 60"),
+        ([{**PILLAR, "sway": 2.0}], "obstacle 1, a pillar, moves at 1.57 m/s; make its period 12.6 s at least"),
+        ([{**PILLAR, "x": 3.8, "sway": 1.0, "yaw": -1.57}], "a pillar, on its way overlaps the opening or the panel"),
     ],
 )
 def test_faults_of_obstacles_are_said_in_one_sentence(obstacles, message):

@@ -50,7 +50,11 @@ def test_suite_sizes() -> None:
     sizes = {name: load_suite(name).n_tasks for name in BUILT}
     first = {"test": 300, "unseen": 150, "smoke": 30, "track": 100, "hard": 150, "race": 100}
     second = {"test": 300, "layouts": 300, "absent": 200}
-    named = {"open-v1": first, "open-v2": second, "open-v3": {"missions": 400, "clutter": 200, "places": 200}}
+    named = {
+        "open-v1": first,
+        "open-v2": second,
+        "open-v3": {"missions": 400, "clutter": 200, "places": 200, "moving": 120},
+    }
     assert sizes == {f"{version}:{name}": size for version, of in named.items() for name, size in of.items()}
     assert [len(track) for track in load_suite("open-v1:track").tracks] == [5] * 20
     assert [len(track) for track in load_suite("open-v1:race").tracks] == [5] * 20

@@ -45,7 +45,7 @@ class TaskView:
         elif self._stage is not track.stage:
             self._chase.place(track.stage, scenery)
         self._stage, state = track.stage, track.world.state()
-        return self._chase.frame(state.position, state.quaternion, 1 / CONTROL_HZ)
+        return self._chase.frame(state.position, state.quaternion, 1 / CONTROL_HZ, track.world.time())
 
     def close(self) -> None:
         """Free the renderer."""

@@ -67,7 +67,8 @@ def pictures(film: Film, airframe: Airframe = RACER) -> Iterator[Image]:
             parts = _parts(frame, following)
             for part in range(parts):
                 if chase is not None and (pose := _pose(frame, following, part / parts)) is not None:
-                    base.paste(PillowImage.fromarray(chase.frame(*pose, seconds=1 / FPS)), (CLIP_WIDTH, _TOP))
+                    now_s = frame.time + part / FPS
+                    base.paste(PillowImage.fromarray(chase.frame(*pose, 1 / FPS, now_s)), (CLIP_WIDTH, _TOP))
                 last = base
                 yield np.asarray(base)
     if last is not None:

@@ -53,7 +53,7 @@ def draw_map(size: tuple[int, int], scene: Scene | None, path: Sequence[Vector],
         pen.line((x, 0, x, height), _GRID)
         pen.line((0, y, width, y), _GRID)
     if stage is not None:
-        for outline in geometry.solids(stage).outlines():
+        for outline in geometry.solids(stage).swept().outlines():
             pen.polygon(pixels(_to_page(outline, stage, start)), _OBSTACLE)
         for index in geometry.choices(stage):
             gate = stage.gates[index]

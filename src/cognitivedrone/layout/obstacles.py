@@ -1,4 +1,6 @@
-"""What is in the way of a drone: boxes and upright cylinders, and their distances. Pure numpy, in the stage frame."""
+"""What is in the way of a drone: boxes and upright cylinders, how they move, and their distances. Pure numpy, in the
+stage frame.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +21,25 @@ LANDMARK_SIDE: Final = 1.2
 POST: Final = 0.1
 """Diameter of a landmark's post, m."""
 _PANEL_DEPTH: Final = 0.02
+_BODY, _HEAD = 0.84, 0.5  # of a person's height, and its head's width in that of the body
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """How n solids move to and fro, each along its own y axis."""
+
+    reach: Vectors
+    """(n, 3) from the middle of its way to the left end, m."""
+    rate: FloatArray
+    """(n,) rad/s."""
+    phase: FloatArray
+    """(n,) when the flight begins, rad."""
+
+    def offset(self, time: FloatArray | float) -> Vectors:
+        """(..., n, 3) where they are from their middle, m, at `time` (...,), s since the flight began."""
+        turn = np.asarray(time, dtype=np.float64)[..., None] * self.rate + self.phase
+        offset: Vectors = np.sin(turn)[..., None] * self.reach
+        return offset
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +54,22 @@ class Solids:
     """(n, 3) half the depth, width and height, m; a cylinder's depth and width are its diameter."""
     round: NDArray[np.bool_]
     """(n,) whether it is a cylinder."""
+    motion: Motion | None = None
+    """None if all stand still; of those that do not, `centers` is the middle."""
+
+    def at(self, time: FloatArray | float) -> Solids:
+        """As they stand at a time, s since the flight began; times (k,) give centres (k, n, 3), for k points."""
+        if self.motion is None:
+            return self
+        return replace(self, centers=self.centers + self.motion.offset(time), motion=None)
+
+    def swept(self) -> Solids:
+        """The boxes in which they move; those that stand still stay as they are."""
+        if self.motion is None:
+            return self
+        away = np.linalg.norm(self.motion.reach, axis=-1)
+        halves = self.halves + away[:, None] * np.array([0.0, 1.0, 0.0])
+        return replace(self, halves=halves, round=self.round & (away == 0.0), motion=None)
 
     def distance(self, points: Vectors) -> FloatArray:
         """(..., n) distances from points (..., 3), m; 0 inside. Exact."""
@@ -117,6 +154,7 @@ def _crossing(first: Vectors, step: Vectors, half: Vectors) -> tuple[FloatArray,
 def solids_of(obstacles: Sequence[Obstacle], landmark: Landmark | None = None) -> Solids:
     """The parts of all obstacles, of each kind in the order of `parts_of`, and of a landmark."""
     parts = [part for obstacle in obstacles for part in parts_of(obstacle)]
+    movers = [obstacle for obstacle in obstacles for _ in parts_of(obstacle)]
     if landmark is not None:
         foot = landmark.height - LANDMARK_SIDE / 2
         panel = (landmark.x, landmark.y, landmark.height)
@@ -125,12 +163,20 @@ def solids_of(obstacles: Sequence[Obstacle], landmark: Landmark | None = None) -
     centers = np.array([center for center, *_ in parts]).reshape(-1, 3)
     halves = np.array([size for _, _, size, _ in parts]).reshape(-1, 3) / 2
     yaws = np.array([yaw for _, yaw, *_ in parts])
-    return Solids(centers, yaws, halves, np.array([is_round for *_, is_round in parts], dtype=bool))
+    solids = Solids(centers, yaws, halves, np.array([is_round for *_, is_round in parts], dtype=bool))
+    if not any(each.sway for each in obstacles):
+        return solids
+    reach, rate, phase = np.zeros((len(parts), 3)), np.zeros(len(parts)), np.zeros(len(parts))
+    for index, each in enumerate(movers):
+        reach[index] = rotate_yaw(np.array([0.0, each.sway, 0.0]), each.yaw)
+        rate[index], phase[index] = 2 * np.pi / each.period, each.phase
+    return replace(solids, motion=Motion(reach, rate, phase))
 
 
 def blocks_of(obstacles: Sequence[Obstacle], landmark: Landmark | None = None) -> Solids:
-    """As `solids_of`, with frames as filled boxes: what ways are planned around."""
-    return solids_of([replace(each, kind="beam") if each.kind == "frame" else each for each in obstacles], landmark)
+    """As `solids_of`, with frames as filled boxes, and what moves on all of its way: what is planned around."""
+    whole = [replace(each, kind="beam") if each.kind == "frame" else each for each in obstacles]
+    return solids_of(whole, landmark).swept()
 
 
 _Part = tuple[tuple[float, float, float], float, tuple[float, float, float], bool]
@@ -138,11 +184,17 @@ _Part = tuple[tuple[float, float, float], float, tuple[float, float, float], boo
 
 
 def parts_of(obstacle: Obstacle) -> list[_Part]:
-    """One part, or the four bars of a frame."""
+    """One part, the body and head of a person, or the four bars of a frame."""
     x, y, width, depth = obstacle.x, obstacle.y, obstacle.width, obstacle.depth
     middle = obstacle.above + obstacle.height / 2
     if obstacle.kind == "pillar":
-        return [((x, y, middle), 0.0, (width, width, obstacle.height), True)]
+        return [((x, y, middle), obstacle.yaw, (width, width, obstacle.height), True)]
+    if obstacle.kind == "person":
+        body, head, face = _BODY * obstacle.height, (1 - _BODY) * obstacle.height, _HEAD * width
+        return [
+            ((x, y, obstacle.above + body / 2), obstacle.yaw, (width, width, body), True),
+            ((x, y, obstacle.above + body + head / 2), obstacle.yaw, (face, face, head), True),
+        ]
     if obstacle.kind != "frame":
         return [((x, y, middle), obstacle.yaw, (depth, width, obstacle.height), False)]
     side, rise = (width - FRAME_BAR) / 2, (obstacle.height - FRAME_BAR) / 2

@@ -167,7 +167,7 @@ class _Painter:
                 self._still = still
                 self._channels.put("camera", CAMERA + jpeg(image))
             self._channels.publish("state", {"time": None, "events": [], **thoughts(shown.policy, shown.reasoner)})
-            self._chased(scene, (position, attitude))
+            self._chased(scene, (position, attitude), 0.0)
         elif step is not None:
             if step is not self._step:
                 self._step = step
@@ -175,7 +175,8 @@ class _Painter:
                     self._took.append(step.policy_s)
                 self._channels.put("camera", CAMERA + jpeg(step.observation.image))
                 self._channels.publish("state", self._state(shown, step))
-            self._chased(scene, pose_between(before, step, time.monotonic() - board._at))
+            since = time.monotonic() - board._at
+            self._chased(scene, pose_between(before, step, since), max(step.time - 1 / CONTROL_HZ, 0.0) + since)
 
     def _scene_of(self, shown: _Shown, step: Step | None) -> Scene | None:
         """The scene of now; it is sent to the page when it changes."""
@@ -193,7 +194,7 @@ class _Painter:
             self._channels.publish("scene", {"gates": []})
         return scene
 
-    def _chased(self, scene: Scene | None, pose: tuple[FloatArray, FloatArray] | None) -> None:
+    def _chased(self, scene: Scene | None, pose: tuple[FloatArray, FloatArray] | None, time_s: float) -> None:
         if scene is None or pose is None or self._no_chase:
             return
         try:
@@ -202,7 +203,7 @@ class _Painter:
             if scene is not self._placed:
                 self._chase.place(scene)
                 self._placed = scene
-            self._channels.put("chase", CHASE + self._chase.frame(*pose, 1 / DRAWN_HZ))
+            self._channels.put("chase", CHASE + self._chase.frame(*pose, 1 / DRAWN_HZ, time_s))
         except CognitiveDroneError as error:  # without OpenGL: the flight's camera is elsewhere
             self._no_chase = True
             self._channels.publish("chase", {"missing": str(error)})
@@ -293,7 +294,7 @@ def scene_table(scene: Scene) -> dict[str, Any]:
                 "name": scene.names[index] if scene.names and index in geometry.panelled(stage) else "",
             }
         )
-    obstacles = [[_rounded(corner) for corner in outline] for outline in geometry.solids(stage).outlines()]
+    obstacles = [[_rounded(corner) for corner in outline] for outline in geometry.solids(stage).swept().outlines()]
     return {"gates": gates, "obstacles": obstacles, "origin": list(stage.origin), "yaw": stage.yaw}
 
 

@@ -40,9 +40,9 @@ class ChaseProcess:
         """Show a scene; the next frame begins behind the drone."""
         self._ask(scene)
 
-    def frame(self, position: FloatArray, quaternion: FloatArray, seconds: float) -> bytes:
+    def frame(self, position: FloatArray, quaternion: FloatArray, seconds: float, time: float) -> bytes:
         """The drone at a pose, as `ChaseView.frame`: a JPEG. Raises `RenderError` without OpenGL."""
-        found: bytes = self._ask((position, quaternion, seconds))
+        found: bytes = self._ask((position, quaternion, seconds, time))
         return found
 
     def close(self) -> None:

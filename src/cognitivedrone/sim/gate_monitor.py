@@ -137,10 +137,13 @@ class GateMonitor:
         self._solids = solids_of(stage.obstacles, stage.landmark) if cluttered else None
         self._last = self.start
 
-    def follow(self, path: Vectors) -> GateEvent | None:
-        """Judge the next part of the path, (k, 3) world, m."""
+    def follow(self, path: Vectors, began: float = 0.0, ended: float = 0.0) -> GateEvent | None:
+        """Judge the next part of the path, (k, 3) world, m, flown from `began` to `ended`, s since the flight began."""
         whole = np.concatenate([self._last[None], path])
-        rooms = None if self._solids is None else self._solids.distance(to_stage_frame(self.stage, whole)).min(axis=1)
+        rooms = None
+        if self._solids is not None:
+            solids = self._solids.at(np.linspace(began, ended, len(whole)))
+            rooms = solids.distance(to_stage_frame(self.stage, whole)).min(axis=1)
         touched = None
         if rooms is not None and rooms.min() < self.hull_radius:
             touched = int(np.argmax(rooms < self.hull_radius))

@@ -62,10 +62,13 @@ class Simulator:
 
     def advance(self, ticks: int = TICKS_PER_CONTROL) -> list[GateEvent | None]:
         """Advance all worlds by physics ticks; returns each world's event."""
-        path = self.flight.advance(ticks)
+        path, began = self.flight.advance(ticks), self.ticks * Flight.TICK_S
         self.ticks += ticks
+        ended = self.ticks * Flight.TICK_S
         return [
-            None if gate_monitor is None or self.flight.diverged[world] else gate_monitor.follow(path[world])
+            None
+            if gate_monitor is None or self.flight.diverged[world]
+            else gate_monitor.follow(path[world], float(began[world]), float(ended[world]))
             for world, gate_monitor in enumerate(self._gate_monitors)
         ]
 
@@ -73,12 +76,13 @@ class Simulator:
         """First-person views (n, size, size, 3) of all worlds, or of some."""
         if self.cameras is None:
             raise ValueError("this simulator was made without cameras")
-        flight = self.flight
+        flight, times = self.flight, self.ticks * Flight.TICK_S
+        rates = flight.body_rates[:, 2]
         if worlds is None:
-            return self.cameras.first_person(flight.position, flight.quaternion, out, None, flight.body_rates[:, 2])
+            return self.cameras.first_person(flight.position, flight.quaternion, out, None, rates, times)
         chosen = list(worlds)
-        position, quaternion, rates = flight.position[chosen], flight.quaternion[chosen], flight.body_rates[chosen]
-        return self.cameras.first_person(position, quaternion, out, chosen, rates[:, 2])
+        position, quaternion = flight.position[chosen], flight.quaternion[chosen]
+        return self.cameras.first_person(position, quaternion, out, chosen, rates[chosen], times[chosen])
 
     def gate_monitor(self, world: int) -> GateMonitor:
         """The gate monitor of the current stage."""

@@ -24,7 +24,7 @@ from cognitivedrone.layout import draw_layout
 from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, generator
 from cognitivedrone.tasks.families.absent import KINDS, LOOKS, absent_puzzle
 from cognitivedrone.tasks.families.clutter import KINDS as OBSTACLES
-from cognitivedrone.tasks.families.clutter import cluttered
+from cognitivedrone.tasks.families.clutter import MOVERS, cluttered, crossed
 from cognitivedrone.tasks.families.memory import memory_track
 from cognitivedrone.tasks.families.mission_tasks import mission_tracks
 from cognitivedrone.tasks.families.racing import INSTRUCTIONS, single_gate
@@ -123,7 +123,7 @@ def _choices(name: str, rng: np.random.Generator, dealer: Dealer) -> list[list[T
     elif name == "places":
         shares = equal_shares(200 - sum(HARD_IN_PLACES.values())) | HARD_IN_PLACES
     else:
-        sizes = {"test": 300, "unseen": 150, "smoke": 30, "track": 100, "layouts": 300, "clutter": 200}
+        sizes = {"test": 300, "unseen": 150, "smoke": 30, "track": 100, "layouts": 300, "clutter": 200, "moving": 120}
         shares = equal_shares(sizes[name])
     tasks = [task for family, count in shares.items() for task in _family(rng, dealer, pools, family, count)]
     if name == "places":
@@ -133,6 +133,9 @@ def _choices(name: str, rng: np.random.Generator, dealer: Dealer) -> list[list[T
     if name == "clutter":
         kinds, counts = dealer.hand("obstacle", OBSTACLES, len(tasks)), dealer.hand("count", range(2, 9), len(tasks))
         tasks = [cluttered(rng, *each) for each in zip(tasks, kinds, counts, strict=True)]
+    if name == "moving":
+        kinds, counts = dealer.hand("obstacle", MOVERS, len(tasks)), dealer.hand("count", range(1, 6), len(tasks))
+        tasks = [crossed(rng, *each) for each in zip(tasks, kinds, counts, strict=True)]
     if name == "track":
         n_tracks = len(tasks) // STAGES_A_TRACK
         tracks = [_shuffled(rng, tasks[i::n_tracks]) for i in range(n_tracks)]

@@ -67,8 +67,11 @@ _MEASURES: dict[str, dict[str, float | None]] = {
     "wall": {"depth": 0.1, "yaw": 0.0},
     "beam": {"above": None, "depth": 0.1, "yaw": 0.0},
     "frame": {"above": None, "depth": 0.1, "yaw": 0.0},
+    "person": {},
 }
 """What an obstacle of each kind has besides x, y, width and height, with its default; none for what must be given."""
+_MOVES: dict[str, float | None] = {"yaw": 0.0, "sway": 0.0, "period": 8.0, "phase": 0.0}
+"""What one may have that moves."""
 _MISSPELT = 0.82
 """A key that is so similar to a known one (difflib, 0 to 1) is a misspelling: `lables` is, `idx` is not."""
 _PLAIN = {re.sub("[^a-z]", "", key): key for key in (*_KEYS, *_OPTIONAL)}
@@ -103,7 +106,10 @@ def task_to_json(task: Task) -> dict[str, Any]:
         obj["mission"] = task.mission
     if task.obstacles:
         keys = {kind: ("kind", "x", "y", "width", "height", *more) for kind, more in _MEASURES.items()}
-        obj["obstacles"] = [{key: getattr(each, key) for key in keys[each.kind]} for each in task.obstacles]
+        obj["obstacles"] = [
+            {key: getattr(each, key) for key in (*keys[each.kind], *(_MOVES if each.sway else ()))}
+            for each in task.obstacles
+        ]
     if task.landmark is not None:
         obj["landmark"] = asdict(task.landmark)
     return obj
@@ -248,7 +254,8 @@ def _obstacle(entry: object, which: str) -> Obstacle:
     if not isinstance(entry, dict) or not isinstance(kind, str) or kind not in _MEASURES:
         shown = repr(kind if isinstance(entry, dict) else entry)[:40]
         raise TaskError(f"{which} has the unknown kind {shown}; {did_you_mean(str(kind)[:40], get_args(ObstacleKind))}")
-    values = _measures(entry, ("x", "y", "width", "height"), _MEASURES[kind], f"{which}, a {kind},", {"kind"})
+    more = _MEASURES[kind] | (_MOVES if "sway" in entry else {})
+    values = _measures(entry, ("x", "y", "width", "height"), more, f"{which}, a {kind},", {"kind"})
     return Obstacle(cast(ObstacleKind, kind), **values)
 
 
@@ -275,7 +282,7 @@ def _measures(
     for key, default in known.items():
         value = entry.get(key, default)
         if not _is_number(value):
-            raise TaskError(f"{which} has {key} {repr(value)[:40]}; give it a number, in m or rad")
+            raise TaskError(f"{which} has {key} {repr(value)[:40]}; give it a number, in m, rad or s")
         values[key] = _as_float(value)
     return values
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Final
 
 import numpy as np
 
@@ -29,9 +30,12 @@ GATE_ROOM = (0.5, 1.05)
 """Half the depth and width of the column around a gate and its panel that obstacles stay out of, m."""
 START_ROOM = 0.4
 """Between start box and obstacles, m."""
+FASTEST_M_S: Final = 1.0
+"""Of moving obstacles."""
 _RANGES = {
     "x": (-4.0, 8.5), "y": (-7.0, 7.0), "width": (0.05, 6.0), "height": (0.05, 5.0), "depth": (0.02, 3.0),
-    "yaw": (-math.pi, math.pi), "above": (0.0, 5.0),
+    "yaw": (-math.pi, math.pi), "above": (0.0, 5.0), "sway": (0.0, 3.0), "period": (1.0, 60.0),
+    "phase": (-2 * math.pi, 2 * math.pi),
 }  # fmt: skip
 
 
@@ -127,7 +131,10 @@ def _check_obstacles(task: Task, where: str) -> None:
             _check_range(getattr(each, key), key, low, high, f"{where}: {name}")
         if each.kind == "frame" and min(each.width, each.height) < 0.5:
             raise TaskError(f"{where}: {name} is too narrow for an opening; make width and height 0.5 at least")
-    parts = [(name, solids_of((each,))) for name, each in named]
+        if (fastest := 2 * math.pi * each.sway / each.period) > FASTEST_M_S:
+            slow = 2 * math.pi * each.sway / FASTEST_M_S
+            raise TaskError(f"{where}: {name} moves at {fastest:.2f} m/s; make its period {slow:.1f} s at least")
+    parts = [(f"{name} on its way" if each.sway else name, solids_of((each,)).swept()) for name, each in named]
     if (mark := task.landmark) is not None:
         check_text(mark.label, "the label of the landmark", where)
         for key, low, high in (("x", *_RANGES["x"]), ("y", *_RANGES["y"]), ("yaw", *_RANGES["yaw"])):

@@ -50,10 +50,14 @@ def check_tracks(spec: VehicleSpec, tracks: Iterable[Track]) -> None:
     """Raise `RunError` for a track that a vehicle cannot fly."""
     if spec.kind != "gazebo":
         return
-    for task in (task for track in tracks for task in track if task.landing):
-        raise RunError(
-            f"task {task.id} is a landing, and worlds in Gazebo have no pads; fly it with --link sim or sitl"
-        )
+    for task in (task for track in tracks for task in track):
+        if task.landing:
+            lacks = "is a landing, and worlds in Gazebo have no pads"
+        elif any(each.sway for each in task.obstacles):
+            lacks = "has an obstacle that moves, and worlds in Gazebo stand still"
+        else:
+            continue
+        raise RunError(f"task {task.id} {lacks}; fly it with --link sim or sitl")
 
 
 def autopilot_file(spec: VehicleSpec) -> Path | None:

@@ -143,8 +143,8 @@ class StageView(Protocol):
         """Show a stage with its pictures."""
         ...
 
-    def frame(self, state: DroneState) -> Image:
-        """The first-person view from a state, (size, size, 3) uint8."""
+    def frame(self, state: DroneState, time: float) -> Image:
+        """The first-person view from a state, (size, size, 3) uint8, `time` s after the flight began."""
         ...
 
 
@@ -188,13 +188,13 @@ class ExternalWorld:
 
     def advance(self, ticks: int = TICKS_PER_CONTROL) -> GateEvent | None:
         """Advance by ticks of `Flight.TICK_S`; returns what happened at the gates."""
-        path = self.flight.advance(ticks)
+        path, began = self.flight.advance(ticks), self.time()
         self._ticks += ticks
-        return None if self.diverged else self.gate_monitor.follow(path)
+        return None if self.diverged else self.gate_monitor.follow(path, began, self.time())
 
     def frame(self) -> Image:
         """The first-person view, (size, size, 3) uint8."""
-        return self._view.frame(self.state())
+        return self._view.frame(self.state(), self.time())
 
     def state(self) -> DroneState:
         """The drone's true state."""

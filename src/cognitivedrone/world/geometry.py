@@ -111,6 +111,8 @@ def board_label(stage: Stage) -> str | None:
 def solids(stage: Stage) -> Solids:
     """What is in the way, in the world; the panel of a landmark, whose picture is drawn, is the last of them."""
     found = solids_of(stage.obstacles, stage.landmark)
+    if (motion := found.motion) is not None:
+        found = replace(found, motion=replace(motion, reach=rotate_yaw(motion.reach, stage.yaw)))
     centers = rotate_yaw(found.centers, stage.yaw) + np.array([*stage.origin, 0.0])
     return replace(found, centers=centers, yaws=found.yaws + stage.yaw)
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from cognitivedrone.frames import quaternion_from_yaw, rotation_matrix
+from cognitivedrone.layout.obstacles import Solids
 from cognitivedrone.types import COLORS, DroneState, FloatArray, Stage
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import RGB, Appearance
@@ -48,8 +49,9 @@ def fill_scene(
     board_aspect: float | None,
     appearance: Appearance,
     panorama: int = -1,
-) -> None:
-    """Replace the content of `scene` by a stage whose pictures are in the textures of `slot`.
+) -> int:
+    """Replace the content of `scene` by a stage whose pictures are in the textures of `slot`; returns the index of the
+    geom of the first obstacle, for `move_obstacles`.
 
     `aspects` are the labels' widths over heights; `board_aspect` is the board's, or None without a board. `panorama`
     is the texture of the appearance's place. A gate that stands alone has no panel. Room and light belong to the stage:
@@ -75,6 +77,7 @@ def fill_scene(
         center, yaw, *sides = geometry.board_panel(stage, board_aspect)
         axes = rotation_matrix(quaternion_from_yaw(yaw)) * np.array([1.0, *sides])
         _add_mesh(scene, assets.panel, center, axes, paper, 1.0, int(pictures[BOARD]))
+    first: int = scene.ngeom
     if stage.obstacles or stage.landmark:
         _add_obstacles(scene, stage)
     if stage.landing:
@@ -82,6 +85,16 @@ def fill_scene(
             _add_pad(scene, center, appearance.gate_colors[COLORS.index(gate.color)])
     _add_surroundings(scene, assets, stage, level, appearance, panorama)
     _set_light(scene, level, appearance)
+    return first
+
+
+def move_obstacles(scene: Any, first: int, solids: Solids, time: float) -> None:
+    """Put what moves where it is at a time, s since the flight began; `first` as `fill_scene` returned it."""
+    if (motion := solids.motion) is None:
+        return
+    places = solids.at(time).centers
+    for index in np.flatnonzero(motion.reach.any(axis=-1)).tolist():
+        scene.geoms[first + index].pos[:] = places[index]
 
 
 def _add_surroundings(

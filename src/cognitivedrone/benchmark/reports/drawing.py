@@ -124,7 +124,7 @@ def episode_map(result: EpisodeResult, trace: Trace, options: Sequence[str] = ()
     gates = tuple(
         mark for flight in flights for mark in _gate_marks(flight.stage, base, flight.result.target, text, names)
     )
-    outlines = (_to_page(each, base) for stage in trace.stages for each in geometry.solids(stage).outlines())
+    outlines = (_to_page(each, base) for stage in trace.stages for each in geometry.solids(stage).swept().outlines())
     obstacles = tuple(" ".join(f"{_short(x)},{_short(y)}" for x, y in outline) for outline in outlines)
     return Map(_box(*low, *(high - low)), text, gates, tuple(mark for mark in marks if mark), obstacles)
 

@@ -20,16 +20,18 @@ from PIL import Image as PillowImage
 
 from cognitivedrone.errors import RenderError
 from cognitivedrone.frames import rotation_matrix
+from cognitivedrone.layout.obstacles import Solids
 from cognitivedrone.sim.drawing.gl import GLThread, enlarge_only, renderer_name
 from cognitivedrone.sim.drawing.readback import OneByOne, readback
 from cognitivedrone.sim.drawing.renderers import contexts_for, on_processor
 from cognitivedrone.sim.drawing.views import FIELD_OF_VIEW, MOUNT, View, focal_length, top_view
 from cognitivedrone.types import IMAGE_SIZE, DroneState, FloatArray, Image, Images, Stage, Vector, Vectors
+from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import PLAIN, Appearance, expose
 from cognitivedrone.world.assets import BOARD, MAX_SLOTS, build_assets, write_picture, write_place
 from cognitivedrone.world.engine import mujoco
 from cognitivedrone.world.places import names
-from cognitivedrone.world.scene import add_drone, fill_scene, new_scene
+from cognitivedrone.world.scene import add_drone, fill_scene, move_obstacles, new_scene
 
 _NEAR, _FAR = 0.03, 200.0
 _TOP_DRONE_SCALE = 3.0
@@ -98,12 +100,13 @@ class Cameras:
         out: Images | None = None,
         slots: Sequence[int] | None = None,
         yaw_rates: ArrayLike | None = None,
+        times: ArrayLike | None = None,
     ) -> Images:
         """First-person images (n, size, size, 3) uint8 of drones at `positions` (n, 3) world m, attitudes (n, 4) wxyz.
 
         Image i shows the world of `slots[i]`, or of slot i without `slots`. A slot may occur several times.
         The result is written into `out` if given. `yaw_rates` (n,) rad/s blur the pictures of appearances with an
-        exposure.
+        exposure. `times` (n,) s since each flight began say where moving obstacles are.
         """
         position = np.asarray(positions, dtype=np.float64)
         axes = rotation_matrix(np.asarray(quaternions, dtype=np.float64))
@@ -123,12 +126,13 @@ class Cameras:
         eye = position + MOUNT[0] * forward + MOUNT[1] * axes[..., 1] + MOUNT[2] * up
         rates = np.zeros(count) if yaw_rates is None else np.asarray(yaw_rates, dtype=np.float64)
         blur = np.abs(rates) * focal_length(self.size, FIELD_OF_VIEW)
+        clock = np.zeros(count) if times is None else np.asarray(times, dtype=np.float64)
         jobs: list[list[tuple[int, int]]] = [[] for _ in self._threads]
         for index, slot in enumerate(shown):
             self._check(slot)
             jobs[slot % len(jobs)].append((index, slot // len(jobs)))
         pending = [
-            thread.call(partial(renderer.first_person, job, eye, forward, up, out, blur))
+            thread.call(partial(renderer.first_person, job, eye, forward, up, out, blur, clock))
             for thread, renderer, job in zip(self._threads, self._renderers, jobs, strict=True)
             if job
         ]
@@ -170,6 +174,7 @@ class _Renderer:
         self._scenes = [new_scene(self._assets) for _ in range(slots)]
         self._stages: list[Stage | None] = [None] * slots
         self._looks: list[Appearance] = [PLAIN] * slots
+        self._moving: list[tuple[int, Solids] | None] = [None] * slots  # first geom of the obstacles
         self._places: dict[str, int] = {}  # the texture that each place is in
         self._viewport = mujoco.MjrRect(0, 0, size, size)
         self._readback = readback(renderer, self._context, size, size)
@@ -199,7 +204,7 @@ class _Renderer:
             mujoco.mjr_uploadTexture(self._assets.model, self._context, texture)
         place = self._texture_of(appearance.place, slot)
         aspects = [_aspect(image) for image in images]
-        fill_scene(
+        first = fill_scene(
             self._scenes[slot],
             self._assets,
             slot,
@@ -211,6 +216,8 @@ class _Renderer:
         )
         _set_lens(self._scenes[slot], FIELD_OF_VIEW)
         self._stages[slot], self._looks[slot] = stage, appearance
+        solids = geometry.solids(stage)
+        self._moving[slot] = None if solids.motion is None else (first, solids)
 
     def _texture_of(self, place: str, slot: int) -> int:
         """The texture that has the panorama of a place for `slot`, filled if need be; -1 for no place."""
@@ -229,7 +236,14 @@ class _Renderer:
         return texture
 
     def first_person(
-        self, job: list[tuple[int, int]], eye: Vectors, forward: Vectors, up: Vectors, out: Images, blur: FloatArray
+        self,
+        job: list[tuple[int, int]],
+        eye: Vectors,
+        forward: Vectors,
+        up: Vectors,
+        out: Images,
+        blur: FloatArray,
+        times: FloatArray,
     ) -> None:
         """Render (index, slot) pairs of `job` into `out[index]`."""
         slots = dict(job)
@@ -237,6 +251,8 @@ class _Renderer:
         def drawn() -> Iterator[int]:
             for index, slot in job:
                 self.stage(slot)
+                if (moving := self._moving[slot]) is not None:
+                    move_obstacles(self._scenes[slot], *moving, float(times[index]))
                 _aim(self._scenes[slot], eye[index], forward[index], up[index])
                 mujoco.mjr_render(self._viewport, self._scenes[slot], self._context)
                 yield index

@@ -108,16 +108,17 @@ class ChaseView:
         """Begin the next frame behind the drone, wherever the camera is now: for a new flight."""
         self._eye = None
 
-    def frame(self, position: ArrayLike, quaternion: ArrayLike, seconds: float = 0.05) -> Image:
+    def frame(self, position: ArrayLike, quaternion: ArrayLike, seconds: float = 0.05, time: float = 0.0) -> Image:
         """The drone at `position` (3,) world m with attitude (4,) wxyz: (height, width, 3) uint8 RGB.
 
-        `seconds` have passed since the previous frame; the camera follows smoothly.
+        `seconds` have passed since the previous frame; the camera follows smoothly. Moving obstacles are where they are
+        at `time`, s since the flight began.
         """
         if self._renderer is None:
             raise RenderError("this view is closed; make a new one.")
         place, attitude = np.asarray(position, dtype=np.float64), np.asarray(quaternion, dtype=np.float64)
         eye = self._follow(place, float(yaw_of(attitude)), seconds)
-        draw = partial(self._renderer.draw, place, attitude, eye, self._yaw, self._spin)
+        draw = partial(self._renderer.draw, place, attitude, eye, self._yaw, self._spin, time)
         return self._thread.call(draw).result()
 
     @property
@@ -167,10 +168,14 @@ class _Renderer:
         self._readback = OneByOne(self._context, self._width, self._height)
         self._rotors = [self._model.body(f"rotor{index}").mocapid[0] for index in range(len(ROTORS))]
         self._hubs = _hubs(airframe)
+        self._solids = geometry.solids(stage)
 
-    def draw(self, place: Vector, attitude: Quaternion, eye: Vector, yaw: float, spin: float) -> Image:
+    def draw(self, place: Vector, attitude: Quaternion, eye: Vector, yaw: float, spin: float, time: float) -> Image:
         """One frame; `eye` is the smoothed place of the drone, `yaw` the camera's heading."""
         data, camera = self._data, self._camera
+        if (motion := self._solids.motion) is not None:
+            for index in np.flatnonzero(motion.reach.any(axis=-1)).tolist():
+                self._model.geom(_obstacle(index)).pos = self._solids.at(time).centers[index]
         drone = self._model.body("drone").mocapid[0]
         data.mocap_pos[drone], data.mocap_quat[drone] = place, attitude
         turned, hub = np.empty(4), np.empty(3)
@@ -306,11 +311,16 @@ def _add_stage(spec: Any, stage: Stage, scenery: Scenery) -> None:
     for index in range(len(found.yaws) - (stage.landmark is not None)):
         is_round, (depth, width, height) = bool(found.round[index]), found.halves[index]
         spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CYLINDER if is_round else mujoco.mjtGeom.mjGEOM_BOX,
+            name=_obstacle(index), type=mujoco.mjtGeom.mjGEOM_CYLINDER if is_round else mujoco.mjtGeom.mjGEOM_BOX,
             pos=found.centers[index], quat=quaternion_from_yaw(found.yaws[index]),
             size=[depth, height, 0.0] if is_round else [depth, width, height],
             rgba=[*OBSTACLE_COLORS[is_round], 1.0],
         )  # fmt: skip
+
+
+def _obstacle(index: int) -> str:
+    """The name of the geom of a solid."""
+    return f"obstacle{index}"
 
 
 def _gate_color(appearance: Appearance, index: int) -> FloatArray:

@@ -1,6 +1,7 @@
 """Random obstacles between the start and the gates of a task, of which one is in the way to the right gate.
 
 From every start there is a way to every gate that keeps `CLEAR_M` from all of them, and most of every panel is seen.
+What moves counts as everywhere on its way.
 """
 
 from __future__ import annotations
@@ -30,6 +31,10 @@ _APPROACH: Final = ((-1.9, 1.0), 0.6, 2.4)
 _PANEL_GRID: Final = np.linspace(-0.8, 0.8, 3)
 _TRIES: Final = 60
 KINDS: Final[tuple[ObstacleKind, ...]] = ("pillar", "wall", "beam", "frame")
+MOVERS: Final[tuple[ObstacleKind, ...]] = ("person", "pillar", "person", "wall", "person", "beam")
+"""What moves: a person every second time."""
+ROWS_M: Final = 1.6
+"""Between the nearest and the farthest gate of two rows, along the stage's x axis."""
 
 
 def cluttered(rng: np.random.Generator, task: Task, kind: ObstacleKind, count: int) -> Task:
@@ -52,10 +57,33 @@ def cluttered(rng: np.random.Generator, task: Task, kind: ObstacleKind, count: i
             return found
 
 
-def _with_obstacle(rng: np.random.Generator, task: Task, kind: ObstacleKind, *, first: bool) -> Task | None:
+def crossed(rng: np.random.Generator, task: Task, kind: ObstacleKind, count: int) -> Task:
+    """The task with gates in two rows and `count` obstacles, of which the first, of this kind, moves to and fro across
+    the way; a second one is as likely to move as not.
+    """
+    while True:
+        layout = draw_layout(rng, task.gates, board=task.board is not None)
+        depths = [place.x for place in layout]
+        if max(depths) - min(depths) < ROWS_M:
+            continue
+        found: Task | None = replace(task, layout=layout)
+        for number in range(count):
+            moves = number == 0 or (number == 1 and bool(rng.integers(2)))
+            kinds = MOVERS if moves else KINDS
+            shape = kinds[rng.integers(len(kinds))] if number else kind
+            found = found and _with_obstacle(rng, found, shape, first=number == 0, moves=moves)
+        if found is not None and has_ways(found):
+            return found
+
+
+def _with_obstacle(
+    rng: np.random.Generator, task: Task, kind: ObstacleKind, *, first: bool, moves: bool = False
+) -> Task | None:
     """The task with one more obstacle; none if no place for it is found."""
     for _ in range(_TRIES):
         obstacle = _draw(rng, kind, _before_gate(rng, task) if first else rng.uniform([0.7, -4.0], [5.5, 4.0]))
+        if moves:
+            obstacle = _moving(rng, obstacle)
         found = replace(task, obstacles=(*task.obstacles, obstacle))
         if (not first or is_in_the_way(found)) and _apart(obstacle, task) and is_free(found):
             return found
@@ -81,11 +109,20 @@ def _draw(rng: np.random.Generator, kind: ObstacleKind, place: FloatArray) -> Ob
     yaw = round(float(rng.uniform(-0.6, 0.6)), 2)
     if kind == "pillar":
         return Obstacle(kind, x, y, of(0.15, 0.45), of(1.2, 3.0))
+    if kind == "person":
+        return Obstacle(kind, x, y, of(0.4, 0.55), of(1.5, 1.9))
     if kind == "wall":
         return Obstacle(kind, x, y, of(0.7, 2.0), of(0.5, 1.4), of(0.06, 0.2), yaw)
     if kind == "beam":
         return Obstacle(kind, x, y, of(1.0, 3.0), of(0.08, 0.2), of(0.08, 0.2), yaw, of(0.5, 1.7))
     return Obstacle(kind, x, y, of(1.0, 1.9), of(1.0, 1.7), 0.05, yaw, of(0.0, 0.5))
+
+
+def _moving(rng: np.random.Generator, obstacle: Obstacle) -> Obstacle:
+    """The obstacle moving to and fro, at 0.3 to 0.7 m/s where it is fastest."""
+    sway, fastest, phase, yaw = rng.uniform([0.4, 0.3, 0.0, -0.6], [1.3, 0.7, 2 * np.pi, 0.6]).round(2).tolist()
+    period = round(2 * float(np.pi) * sway / fastest, 2)
+    return replace(obstacle, sway=sway, period=period, phase=phase, yaw=yaw)
 
 
 def _with_landmark(rng: np.random.Generator, task: Task) -> Task | None:
@@ -105,14 +142,14 @@ def _with_landmark(rng: np.random.Generator, task: Task) -> Task | None:
 
 def _apart(obstacle: Obstacle, task: Task) -> bool:
     """Whether an obstacle touches no other one of the task, and not its landmark."""
-    own, others = solids_of((obstacle,)), solids_of(task.obstacles, task.landmark)
+    own, others = solids_of((obstacle,)).swept(), solids_of(task.obstacles, task.landmark).swept()
     parts = zip(own.centers, own.yaws, own.halves, strict=True)
     return not any(others.meets(center, float(yaw), half).any() for center, yaw, half in parts)
 
 
 def is_free(task: Task) -> bool:
     """Whether obstacles leave start, gates and panels as free as this module promises."""
-    solids = solids_of(task.obstacles, task.landmark)
+    solids = solids_of(task.obstacles, task.landmark).swept()
     if occupied(task, solids) or _blocks_approach(solids, task.layout):
         return False
     return seen_share(solids, task.layout) >= SEEN
@@ -121,7 +158,7 @@ def is_free(task: Task) -> bool:
 def is_in_the_way(task: Task) -> bool:
     """Whether an obstacle is on the straight way from the middle of the start box to the right gate."""
     join = _join(task.layout, right_gate(task))
-    return bool(solids_of(task.obstacles).blocked(STARTS[0], join, IN_THE_WAY_M).any())
+    return bool(solids_of(task.obstacles).swept().blocked(STARTS[0], join, IN_THE_WAY_M).any())
 
 
 def has_ways(task: Task) -> bool:

@@ -67,9 +67,10 @@ class RenderedView:
         """Put up a stage."""
         self._cameras.set_stage(0, stage, scenery.panels, scenery.board, scenery.appearance)
 
-    def frame(self, state: DroneState) -> Image:
-        """The first-person view from a state, (256, 256, 3) uint8."""
-        image: Image = self._cameras.first_person(state.position[None], state.quaternion[None])[0]
+    def frame(self, state: DroneState, time: float) -> Image:
+        """The first-person view from a state, (256, 256, 3) uint8, `time` s after the flight began."""
+        place, attitude = state.position[None], state.quaternion[None]
+        image: Image = self._cameras.first_person(place, attitude, times=[time])[0]
         return image
 
 
@@ -169,7 +170,14 @@ class RecordedPlant(Plant):
         self._lock = threading.Lock()
         self._path: list[FloatArray] = []
         self._next_s = 0.0
+        self.flown_from_s: float | None = None
+        """When the flight began after the climb, in the plant's time, s; none before."""
         super().__init__(airframe, start=start, wind=wind)
+
+    @property
+    def flown_s(self) -> float:
+        """Seconds since the flight began."""
+        return 0.0 if self.flown_from_s is None else self.time - self.flown_from_s
 
     def step(self, pwm: Sequence[int], period: float) -> Sensed:
         """As the plant; a hundred positions a second are recorded."""
@@ -190,14 +198,14 @@ class RecordedPlant(Plant):
 class PlantCamera:
     """What a plant's drone sees, rendered while the autopilot waits for its physics."""
 
-    def __init__(self, view: RenderedView, plant: Plant) -> None:
+    def __init__(self, view: RenderedView, plant: RecordedPlant) -> None:
         self._view = view
         self._plant = plant
         self._newest: tuple[Image, float] | None = None
 
     def look(self, _: float) -> None:
         """Render from where the plant is: for the physics server's control ticks."""
-        self._newest = self._view.frame(self._plant.state()), time.monotonic()
+        self._newest = self._view.frame(self._plant.state(), self._plant.flown_s), time.monotonic()
 
     def read(self) -> Shot:
         """The newest frame."""
@@ -231,7 +239,7 @@ class _ObservedFlight(ExternalFlight):
         self._plant = RecordedPlant(self._airframe, (x, y), start.wind)
         self._take_off(self._plant)
         self._plant.taken()
-        self._judged_s = self._plant.time
+        self._judged_s = self._plant.flown_from_s = self._plant.time
 
     def elapsed_ticks(self) -> int:
         """Ticks of `Flight.TICK_S` that have passed since `advance`."""
