@@ -74,7 +74,7 @@ def test_where_the_peer_is_installed_both_fly_in_one_go(short, monkeypatch, caps
     assert theirs.options["obs"] == "rgb"
     assert theirs.steps == 1 + 2 * environment.STEPS  # one to look at the frame, one round to warm up, one measured
     # By this clock every call takes the same time, so worlds are what is counted.
-    assert ratios(printed) == [1.0, 4.0, 16.0, 16.0]  # the last past obstacles
+    assert ratios(printed) == [1.0, 4.0, 16.0, 16.0, 16.0]  # the last two past obstacles
     assert "flown here, turn by turn" in printed
     assert environment.PEER_MEASURED not in printed
 
@@ -99,7 +99,9 @@ def test_what_was_measured_is_kept_where_it_is_ended_early(short, monkeypatch, t
     monkeypatch.setattr(environment, "reset_seconds", ended)
     with pytest.raises(KeyboardInterrupt):
         environment.main(["--out", str(out)])
-    names = ["one world", "vector of 4", "vector of 16", "vector of 16, obstacles", "gym-pybullet-drones, one drone"]
+    crowded = "vector of 16, six frames, ten obstacles"
+    names = ["one world", "vector of 4", "vector of 16", "vector of 16, obstacles", crowded]
+    names.append("gym-pybullet-drones, one drone")
     assert kept == [names] * 3
 
 
@@ -108,7 +110,7 @@ def test_where_it_is_not_the_ratio_is_to_a_dated_figure(short, monkeypatch, caps
     environment.main([])
     printed = capsys.readouterr().out
     steps = environment.STEPS
-    expected = [worlds * steps / environment.PEER_STEPS_S for worlds in (1, 4, 16, 16)]
+    expected = [worlds * steps / environment.PEER_STEPS_S for worlds in (1, 4, 16, 16, 16)]
     assert ratios(printed) == pytest.approx(expected, abs=0.06)
     assert re.search(rf"44 control steps/s +not installed here; measured {environment.PEER_MEASURED}", printed)
 
