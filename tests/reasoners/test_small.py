@@ -12,7 +12,7 @@ from cognitivedrone.models.onnx_file import write_table
 from cognitivedrone.models.reasoner_file import LANGUAGE, SELECTOR, PanelReading
 from cognitivedrone.reasoners.scene_text import STAGES
 from cognitivedrone.reasoners.small import SmallReasoner, gate_of
-from cognitivedrone.tasks.directives import HOLD
+from cognitivedrone.tasks.directives import HOLD, write_directive
 from cognitivedrone.training.perception.attributes import ATTRIBUTES, AttributeIndex
 from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Gate
 
@@ -231,6 +231,21 @@ def test_where_no_gate_shows_it_it_says_so_and_holds(made):
     assert guidance.gate is None
     assert guidance.confidence == pytest.approx(0.95, abs=1e-4)
     assert guidance.present == pytest.approx(1 - guidance.confidence)
+
+
+def test_where_the_sentence_names_looks_alone_they_decide(made):
+    reasoner = made(Scripted(*[reading_of(LETTERS) for _ in range(4)], answer=(0.9, 0.02, 0.01, 0.07)))
+    for place, gate in enumerate(GATES):
+        guidance = reasoner.refine(FRAME, f"Go through the {gate.color} gate")
+        assert (guidance.directive, guidance.gate) == (write_directive(gate), place)
+    assert reasoner.refine(FRAME, "Fly through the small triangle gate").directive == HOLD
+    assert not reasoner.selector.asked
+
+
+def test_where_several_gates_look_as_asked_for_it_is_unsure(made):
+    reasoner = made(Scripted(reading_of(LETTERS), answer=(0.9, 0.02, 0.01, 0.07)))
+    with pytest.raises(ReasonerError, match="no answer is likely"):
+        reasoner.refine(FRAME, "Fly through the big gate")
 
 
 def test_a_flight_is_not_ended_by_a_guess_that_it_is_not_there(made):

@@ -15,7 +15,7 @@ from cognitivedrone.collect.recipe import RECIPES
 from cognitivedrone.errors import DataError, TaskError
 from cognitivedrone.plan import TaskSource
 from cognitivedrone.tasks import BASE_FAMILIES, TEST_ONLY, load_suite, read_tasks, train_task, write_tasks
-from cognitivedrone.tasks.directives import HOLD, declines, fitting_gate, parse_directive
+from cognitivedrone.tasks.directives import HOLD, declines, fitting_gate, looks_asked, parse_directive
 from cognitivedrone.tasks.facts import FACTS, HEALTHY, UNHEALTHY
 from cognitivedrone.tasks.families.absent import _UNLIKE, KINDS, LOOKS, absent_puzzle
 from cognitivedrone.tasks.families.human import _BY_PHRASE
@@ -213,3 +213,23 @@ def test_collecting_refuses_them(tmp_path: Path):
     with pytest.raises(DataError, match="in task 'mine/0' no gate is right"):
         open_suite(Job(TaskSource(tasks=tmp_path / "mine.json"), recipe, 2))
     assert open_suite(Job(TaskSource(tasks=tmp_path / "mine.json"), replace(recipe, episodes=1), 1)).n_tasks == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "looks"),
+    [
+        ("Fly through the big triangle gate", ("big", None, "triangle")),
+        ("Please go through the little blue gate!", ("small", "blue", None)),
+        ("I want you to fly to the gate that is round and red", (None, "red", "round")),
+        ("Fly through the gate", None),
+        ("Fly through the round one", None),
+        ("Fly to the gate with the ring", None),
+        ("Fly through the bigger gate", None),
+        ("Fly through the red or the blue gate", None),
+        ("Not the red gate", None),
+        ("Fly through the small gate with the dog", None),
+        ("", None),
+    ],
+)
+def test_a_sentence_that_asks_for_looks_alone_is_known_from_others(text, looks):
+    assert looks_asked(text) == looks

@@ -35,8 +35,8 @@ from cognitivedrone.models.reasoner_file import (
 )
 from cognitivedrone.models.words.scene_tokens import SceneText, stacked
 from cognitivedrone.reasoners.scene_text import STAGES, ReadScene, SceneWriter, gate_of
-from cognitivedrone.tasks.directives import HOLD, write_directive
-from cognitivedrone.types import COLORS, EpisodeContext, Guidance, Image, SeenPanel
+from cognitivedrone.tasks.directives import HOLD, looks_asked, write_directive
+from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Guidance, Image, SeenPanel
 
 _SEEN = 0.3  # minimum score of a visible gate or board
 _LIKELY = 0.5  # an answer that is less likely than not is none; the gate selector's probabilities are calibrated
@@ -175,10 +175,14 @@ class SmallReasoner(Reasoner):
     def _choose(self, instruction: str, scene: ReadScene) -> Floats:
         """Probabilities (4,) of the gates and of none; they are asked for again only when the scene reads otherwise.
 
+        Where the sentence names a gate by its looks alone, nothing but the looks decides.
+
         Where the selector, which reads the scene in words, finds no answer likelier than not, two more opinions count
         as much: its own, weighed over what each panel may show, and the language's, which weighs every reading of each
         gate by itself, and errs elsewhere.
         """
+        if (asked := looks_asked(instruction)) is not None:
+            return _fitting(asked, scene.looks)
         text = self._writer.write(instruction, scene)
         if text != self._answered[0]:
             chosen = self.selector.choose(text)
@@ -282,6 +286,18 @@ class SmallReasoner(Reasoner):
     def _board(self) -> Floats:
         board: Floats = self._stage.board / max(self._stage.board_weight, 1e-6)
         return board
+
+
+def _fitting(asked: Sequence[str | None], looks: Floats) -> Floats:
+    """Probabilities (4,) that each gate alone has the size, colour and shape asked for, and that none has.
+
+    What is left is the probability that several have them.
+    """
+    known: list[str] = [*COLORS, *SHAPES, *SIZES]
+    columns = [known.index(word) for word in asked if word is not None]
+    fits = looks[:, columns].prod(axis=1)
+    others = np.array([np.delete(1 - fits, place).prod() for place in range(len(fits))])
+    return np.array([*(fits * others), (1 - fits).prod()], np.float32)
 
 
 def _by_place(stage: _Stage) -> list[tuple[int, _Gate]]:

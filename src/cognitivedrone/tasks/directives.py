@@ -19,6 +19,20 @@ _SHAPES: dict[str, Shape] = {
 _COLORS: dict[str, Color] = {"red": "red", "green": "green", "blue": "blue"}
 
 
+_LOOKS = (
+    _SIZES.keys() - {"bigger", "larger", "biggest", "largest", "smaller", "smallest"},
+    _COLORS.keys(),
+    _SHAPES.keys() - {"ring"},
+)
+"""Words that name a size, a colour or a shape, and nothing that a panel may show."""
+_AROUND = frozenset(
+    re.findall(
+        r"\w+",
+        "fly go head pass move steer navigate aim take cross enter find please now drone i want you to would like could"
+        " can through at for towards toward into the a an and that this which is coloured colored shaped gate",
+    )
+)
+"""Words of a directive that say nothing of the gate."""
 HOLD = "Hold position"
 """The directive that declines: no gate matches the instruction, so none is to be flown through."""
 
@@ -50,6 +64,24 @@ def parse_directive(text: str) -> tuple[Size | None, Color | None, Shape | None]
         color = _COLORS.get(word, color)
         shape = _SHAPES.get(word, shape)
     return size, color, shape
+
+
+def looks_asked(text: str) -> tuple[Size | None, Color | None, Shape | None] | None:
+    """Size, colour and shape of the gate that a sentence asks for, if it says nothing else; None for any other.
+
+    Words that compare ("the smaller gate") and sentences with several colours, shapes or sizes are others.
+    """
+    said = re.findall(r"[^\W_]+", text.lower())
+    words = [word for word in said if word not in _AROUND]
+    found = [next((kind for kind, known in enumerate(_LOOKS) if word in known), None) for word in words]
+    if not words or "gate" not in said or None in found or len({*found}) < len(found):
+        return None
+    told = dict(zip(found, words, strict=True))
+    return (
+        _SIZES[told[0]] if 0 in told else None,
+        _COLORS[told[1]] if 1 in told else None,
+        _SHAPES[told[2]] if 2 in told else None,
+    )
 
 
 def fitting_gate(text: str, gates: Sequence[Gate]) -> int | None:
