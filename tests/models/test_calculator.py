@@ -223,3 +223,22 @@ def test_what_is_written_in_signs_or_in_words_is_worked_out_alike(expression, wo
 @given(st.text(max_size=200))
 def test_no_text_breaks_the_calculator(text):
     assert calculate(text) is None or isinstance(calculate(text), int)
+
+
+@pytest.mark.parametrize(
+    ("sentence", "result"),
+    [
+        ("8 and 5 together", 13), ("three and four make", 7), ("add up 3, 4 and 5", 12), ("twenty less five", 15),
+        ("4 plus 5 less 3", 6), ("add 4 and 5, less 3", 6), ("one fewer then ten", 9), ("three more then four", 7),
+        ("five short of twenty", 15), ("a dozen and a half", 18), ("one and a half dozen", 18),
+        ("ten shared between two", 5), ("twelve shared by four people", 3), ("15 split equally into three", 5),
+        ("divide twelve between four", 3), ("knock three off ten", 7), ("three off ten", 7), ("take 3 off 10", 7),
+        ("twice as many as five", 10), ("half as many as eight", 4), ("three times as many as four", 12),
+        ("the number after seven", 8), ("the number right before 9", 8), ("what comes after twelve", 13),
+        ("two apples and three pears", None), ("3 and no more", None), ("go off to the gate with 3", None),
+        ("the gate after the one with 3", None), ("less 3", None), ("7 then 9", None), ("both 3 and 4", None),
+        ("the letter after 3", None), ("3 makes it quick", None),
+    ],
+)  # fmt: skip
+def test_everyday_words_for_arithmetic(sentence, result):
+    assert calculate(sentence) == result

@@ -119,6 +119,8 @@ class _Values(Transformer[Token, Any]):
     power = _rule(_power)
     root = _rule(_root)
     negative = _rule(lambda a: -a)
+    next = _rule(lambda a: a + 1)
+    previous = _rule(lambda a: a - 1)
     multiple = _rule(lambda token, a: Fraction(token) * a)
     share = _rule(lambda count, token, a: count * Fraction(token) * a)
     percent = _rule(lambda a, b: a * b / 100)

@@ -33,6 +33,13 @@ _FRACTIONS: Final = _PARTS | {f"{word}s": value for word, value in _PARTS.items(
 _ROMANS: Final = {"M": 1000, "D": 500, "C": 100, "L": 50, "X": 10, "V": 5, "I": 1}
 _ROMAN = re.compile(r"M{0,3}(?:CM|CD|D?C{0,3})(?:XC|XL|L?X{0,3})(?:IX|IV|V?I{0,3})")
 
+_A_NUMBER = rf"(?:\d|(?:the|an?|{'|'.join((*ONES, *TEENS, *TENS))})\b)"
+_THAN = rf"(?:than|then(?= {_A_NUMBER}))"
+"""People type "then" for it."""
+_EQUALLY = r"(?: (?:out|up))?(?:,? (?:equally|evenly|fairly))?"
+_BETWEEN = r"(?:between|among|amongst|into|in)"
+_COMBINED = r"(?:(?:added|put|taken|all) )?together|altogether|combined|in (?:total|all)|makes?"
+
 _BOARD_NOUN = r"(?:sum|result|answer|solution|value|total|calculation|outcome)"
 _THE_BOARD = r"(?:the|that|this) (?:black|white|chalk)?board"
 _ON_BOARD = (
@@ -49,12 +56,16 @@ _ON_BOARD = (
 _WORDS: Final[tuple[tuple[str, str], ...]] = (
     # The first that fits counts, so longer phrases stand before their beginnings.
     ("BOARD", _ON_BOARD),
+    ("DOZEN_AND_HALF", r"(?:a|one) dozen and a half|(?:a|one) and a half dozens?"),
     ("HALF_DOZEN", r"half a dozen|half-a-dozen"),
     ("A_DOZEN", r"a dozen"),
     ("A_COUPLE", r"a couple(?: of)?"),
     ("_DOZEN", r"dozens?(?: of)?"),
-    ("_MORE", r"(?:more|greater|larger|bigger|higher) than|above"),
-    ("_LESS", r"(?:less|fewer|smaller|lower) than|below"),
+    ("_MORE", rf"(?:more|greater|larger|bigger|higher) {_THAN}|above"),
+    ("_LESS", rf"(?:less|fewer|smaller|lower) {_THAN}|short of|below"),
+    ("_NEXT", r"number (?:(?:right|just|that|which|coming|comes) )*after|what(?: comes|'s| is) (?:right |just )?after"),
+    ("_PREVIOUS",
+     r"number (?:(?:right|just|that|which|coming|comes) )*before|what(?: comes|'s| is) (?:right |just )?before"),
     ("_TAKEAWAY", r"take away|takes away|takeaway|take-away|taken away"),
     ("_SUM", r"(?:sum|total) of"),
     ("_PRODUCT", r"product of"),
@@ -73,29 +84,31 @@ _WORDS: Final[tuple[tuple[str, str], ...]] = (
     ("HALVE", r"(?:an? |one )?half of|half|halve"),
     ("ROMAN", r"roman (?:numeral |number |numerals )?[ivxlcdm]+"),
     ("_THEN", r"(?:[,.;]?\s*(?:and then|then|and|afterwards|after that|,|;|\.)[,:]?\s+)+"
-              r"(?=(?:you |now |finally |next |also )*(?:add|plus|subtract|deduct|minus|take away|"
+              r"(?=(?:you |now |finally |next |also )*(?:add|plus|subtract|deduct|minus|less|take away|"
               r"take \S+ (?:away|from|off)|multiply|times|divide|"
               r"divided by|double|halve|triple|square|remove)\b)"),
     ("_TIMES", r"times|multiplied (?:by|with)|lots of|groups of"),
-    ("_DIVIDED", r"divided by|over the number"),
+    ("_DIVIDED", rf"divided by|over the number|(?:divided|shared|split){_EQUALLY} (?:{_BETWEEN}|by)"),
     ("_PLUS", r"plus|added to"),
-    ("_MINUS", r"minus"),
-    ("_ADD", r"add|adding|sum up|add up|add together"),
+    ("_MINUS", rf"minus|less(?! {_THAN})"),
+    ("_ADD", r"add up|add together|adding up|sum up|adding|add"),
     ("_SUBTRACT", r"subtract|subtracting|deduct|remove"),
     ("_MULTIPLY", r"multiply|multiplying"),
-    ("_DIVIDE", r"divide|dividing|split"),
+    ("_DIVIDE", r"divide|dividing|split|share"),
     ("_INCREASE", r"increase"),
     ("_REDUCE", r"reduce|decrease"),
     ("_SQUARE_IT", r"square(?= (?:it|that|the result)\b)"),
-    ("_TAKE", r"take|taking|takes"),
-    ("_AWAY", r"away|off(?= \d)"),
+    ("_TAKE", r"take|taking|takes|knock|knocking|knocks"),
+    ("_AWAY", r"away"),
+    ("_OFF", r"off"),
     ("_IT", r"it|that|(?:the |that )?(?:result|answer)(?! of\b)|what you (?:get|have|got)|the sum(?! of\b)"),
     ("_AND", r"and|&"),
     ("_TO", r"to"),
     ("_FROM", r"from"),
-    ("_BY", r"by|with"),
+    ("_BY", rf"by|with|(?:equally |evenly )?{_BETWEEN}"),
+    ("_TOGETHER", _COMBINED),
     ("_A", r"an?(?=[ -](?:hundred|thousand|third|quarter|fourth|fifth|sixth|seventh|eighth|ninth|tenth|half)\b)"),
-    ("SKIP", r"the|numbers?|you|both|now|finally|together|value|also|next"),
+    ("SKIP", r"as (?:many|much|big|large|high) as|the|numbers?|you|both|now|finally|value|also|next"),
 )  # fmt: skip
 _MASTER = re.compile(
     "|".join(
@@ -113,18 +126,18 @@ _SIGNS: Final = {
     "(": "_OPEN", ")": "_CLOSE", "[": "_OPEN", "]": "_CLOSE",
 }  # fmt: skip
 _MULTIPLES: Final = {"TWICE": "2", "THRICE": "3", "QUADRUPLE": "4", "HALVE": "1/2"}
-_AMOUNTS: Final = {"HALF_DOZEN": "6", "A_DOZEN": "12", "A_COUPLE": "2"}
+_AMOUNTS: Final = {"DOZEN_AND_HALF": "18", "HALF_DOZEN": "6", "A_DOZEN": "12", "A_COUPLE": "2"}
 _VULGAR: Final = {"½": "1/2", "¼": "1/4", "¾": "3/4", "⅓": "1/3", "⅔": "2/3"}
 
 _OPERATIONS: Final = _words(
     "_MORE _LESS _PLUS _MINUS _TIMES _DIVIDED _TAKEAWAY _SUM _PRODUCT _DIFFERENCE _QUOTIENT _ROOT _SQUARE _CUBE "
     "_SQUARED _CUBED _POWER _PERCENT MULTIPLE FRACTION _DOZEN _ADD _SUBTRACT _MULTIPLY _DIVIDE _INCREASE "
-    "_REDUCE _FROM AMOUNT ROMAN"
+    "_REDUCE _FROM AMOUNT ROMAN _TOGETHER _OFF _NEXT _PREVIOUS"
 )
 """Terminals of which a calculation has at least one."""
 _NUMBERS: Final = _words("DIGITS ONE TEEN TENS ZERO _HUNDRED _THOUSAND BOARD AMOUNT ROMAN")
 _LISTS: Final = _words("_SUM _PRODUCT _DIFFERENCE _QUOTIENT _ADD _MULTIPLY")
-_LOOSE: Final = _words("_TAKE _IT _AND _TO _FROM _BY _THEN _COMMA _A _AWAY DASH")
+_LOOSE: Final = _words("_TAKE _IT _AND _TO _FROM _BY _THEN _COMMA _A _AWAY _OFF DASH")
 """Terminals that are ordinary words as well; at the ends of a span they are left out."""
 _POINTERS: Final = _words("the that this which any no another other every each last next only right left middle")
 _FILLERS: Final = _words(
@@ -138,10 +151,12 @@ _WORTH_A_LOOK = re.compile(
     + ")",
     re.IGNORECASE,
 )
+_COMBINES = re.compile(rf"\s+[a-z0-9]+(?:[ -][a-z]+)?\s+(?:{_COMBINED})\b", re.IGNORECASE)
+"""What follows "and" where two numbers are added: "8 and 5 together"."""
 _PHRASE = re.compile(
     r"[-+*/−–×·÷^²³%½¼¾⅓⅔]|\d\s*x\s*\d|plus|minus|times|lots of|groups of|multipl|divide|take|taking|"
-    r"add|subtract|deduct|remove|"
-    r"more than|greater than|larger than|bigger than|higher than|less than|fewer than|smaller than|lower than|"
+    r"add|subtract|deduct|remove|share|knock|less|short of|off|together|combined|in total|in all|make|after|before|"
+    r"(?:more|greater|larger|bigger|higher|fewer|smaller|lower) th[ae]n|"
     r"above|below|"
     r"sum|total|product|difference|quotient|root|square|cube|power|cent|twice|doubl|tripl|thrice|half|halve|third|quarter|"
     r"fourth|fifth|sixth|seventh|eighth|ninth|tenth|dozen|couple|increase|reduce|decrease|roman|split|[IVXLCDM]{2}",
@@ -215,7 +230,13 @@ def _piece(match: re.Match[str], text: str, before: str, pieces: Sequence[Piece]
     if name == "_SQUARE_IT":
         return ("_SQUARE", found)
     names = {each for each, _ in pieces}
-    if name == "_AND" and not (names & _LISTS or (pieces and pieces[-1][0] in ("_HUNDRED", "_THOUSAND"))):
+    if name == "_TOGETHER" and names & _LISTS:
+        return ()
+    if name == "_AND" and not (
+        names & _LISTS
+        or (pieces and pieces[-1][0] in ("_HUNDRED", "_THOUSAND"))
+        or (pieces and _COMBINES.match(text, match.end()))
+    ):
         return None
     if name == "_TO" and not names & {"_ADD"}:
         return None
