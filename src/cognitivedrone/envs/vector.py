@@ -170,5 +170,10 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
         return observation | {"image": self._images.copy()} if self._copy else observation
 
     def _info(self, results: list[StageResult | None]) -> Info:
-        tasks = [runner.task for runner in self._worlds.runners]
-        return {"task": np.array(tasks, dtype=object), "result": np.array(results, dtype=object)}
+        tasks = np.array([runner.task for runner in self._worlds.runners], dtype=object)
+        ended = np.array([result is not None for result in results])
+        # By Gymnasium's convention, "_key" says which worlds have the key; its wrappers before 1.3 need it.
+        return {
+            "task": tasks, "_task": np.ones(len(tasks), dtype=bool),
+            "result": np.array(results, dtype=object), "_result": ended,
+        }  # fmt: skip
