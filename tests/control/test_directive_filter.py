@@ -70,14 +70,13 @@ def test_an_answer_in_between_begins_the_count_anew():
     ]  # fmt: skip
 
 
-def test_nothing_is_declined_while_the_policy_is_sure_that_it_is_there():
+def test_nothing_is_declined_while_the_policy_is_surer_that_it_is_there():
     directive_filter = DirectiveFilter()
     directive_filter.policy_says(0.82)
-    assert heard(directive_filter, *[(HOLD, 1.0)] * 5) == ["kept"] * 5
-    directive_filter.policy_says(0.78)
-    assert heard(directive_filter, *[(HOLD, 1.0)] * 3) == ["kept", "kept", "adopted"]
-    directive_filter.policy_says(0.82)
-    assert heard(directive_filter, (HOLD, 1.0)) == ["agreed"]
+    assert heard(directive_filter, *[(HOLD, 0.8)] * 5) == ["kept"] * 5
+    assert heard(directive_filter, *[(HOLD, 0.84)] * 3) == ["kept", "kept", "adopted"]
+    directive_filter.policy_says(0.95)
+    assert heard(directive_filter, (HOLD, 0.84)) == ["agreed"]
 
 
 @pytest.mark.parametrize("present", [None, math.nan])

@@ -300,11 +300,11 @@ class Declining:
 class Answering(Reasoner):
     """Gives one directive after the other."""
 
-    def __init__(self, *directives):
-        self.directives = [*directives]
+    def __init__(self, *directives, confidence=1.0):
+        self.directives, self.confidence = [*directives], confidence
 
     def refine(self, image, instruction):
-        return Guidance(self.directives.pop(0), None, 1.0)
+        return Guidance(self.directives.pop(0), None, self.confidence)
 
 
 def test_the_drone_hovers_while_the_directive_declines_and_the_policy_is_not_asked():
@@ -359,7 +359,7 @@ def test_a_users_policy_declines_by_an_attribute():
 
 
 @pytest.mark.parametrize(("present", "declined"), [(0.99, False), (0.5, True), (None, True)])
-def test_a_policy_that_is_sure_is_not_stopped(present, declined):
+def test_a_policy_that_is_surer_is_not_stopped(present, declined):
     class Users:
         def reset(self, context):
             pass
@@ -369,7 +369,7 @@ def test_a_policy_that_is_sure_is_not_stopped(present, declined):
             return np.full((1, 4), 0.1, np.float32)
 
     ground, notes = Ground(), Declining()
-    reasoner = SimulatedReasoner(Answering(*["Hold position"] * 4))
+    reasoner = SimulatedReasoner(Answering(*["Hold position"] * 4, confidence=0.9))
     fly(
         ground,
         TimedPolicy(as_policy("mine", Users())),

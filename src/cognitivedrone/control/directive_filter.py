@@ -29,13 +29,14 @@ class FilterRule:
     declines: int = 3
     """Answers in a row that must decline before the drone hovers. Meanwhile it flies on, and sees the panels anew; one
     that hovers at once would see the same frame, and its misreadings, for ever."""
-    sure: float = 0.8
-    """An answer declines nothing where the policy's own probability that it is there is at least this. Policy and
-    reasoner rarely both fail to recognise what is there; set on first frames (docs/suites.md)."""
 
 
 class DirectiveFilter:
-    """The current directive of one segment."""
+    """The current directive of one segment.
+
+    An answer declines nothing where the policy is surer that a gate matches than the answer that none does: the two
+    probabilities are multiplied, as those of two witnesses who err independently.
+    """
 
     def __init__(self, rule: FilterRule | None = None) -> None:
         self.rule = rule or FilterRule()
@@ -60,7 +61,7 @@ class DirectiveFilter:
         meaning = meaning_of(guidance.directive)
         self._evidence = {known: value * self.rule.fading for known, value in self._evidence.items()}
         self._evidence[meaning] = self._evidence.get(meaning, 0.0) + guidance.confidence
-        doubted = self._present is None or not self._present >= self.rule.sure
+        doubted = self._present is None or not self._present > guidance.confidence
         self._declined = self._declined + 1 if meaning == HOLD and doubted else 0
         present = None if self._current is None else meaning_of(self._current.directive)
         if present == meaning:
