@@ -72,11 +72,18 @@ def test_an_answer_in_between_begins_the_count_anew():
 
 def test_nothing_is_declined_while_the_policy_is_surer_that_it_is_there():
     directive_filter = DirectiveFilter()
-    directive_filter.policy_says(0.82)
+    directive_filter.policy_says(0.9)  # odds of 9, which count as 3
     assert heard(directive_filter, *[(HOLD, 0.8)] * 5) == ["kept"] * 5
-    assert heard(directive_filter, *[(HOLD, 0.84)] * 3) == ["kept", "kept", "adopted"]
-    directive_filter.policy_says(0.95)
-    assert heard(directive_filter, (HOLD, 0.84)) == ["agreed"]
+    assert heard(directive_filter, *[(HOLD, 0.85)] * 3) == ["kept", "kept", "adopted"]
+    directive_filter.policy_says(0.99)
+    assert heard(directive_filter, (HOLD, 0.85)) == ["agreed"]
+
+
+@pytest.mark.parametrize(("present", "absent", "declined"), [(1.0, 1.0, True), (1.0, 0.9, False), (0.0, 0.0, False)])
+def test_certainties_are_weighed_too(present, absent, declined):
+    directive_filter = DirectiveFilter()
+    directive_filter.policy_says(present)
+    assert (heard(directive_filter, *[(HOLD, absent)] * 3)[-1] == "adopted") == declined
 
 
 @pytest.mark.parametrize("present", [None, math.nan])

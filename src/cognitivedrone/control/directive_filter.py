@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -29,13 +30,18 @@ class FilterRule:
     declines: int = 3
     """Answers in a row that must decline before the drone hovers. Meanwhile it flies on, and sees the panels anew; one
     that hovers at once would see the same frame, and its misreadings, for ever."""
+    trust: float = 0.5
+    """Power of the odds that the policy gives to a matching gate, beside those of an answer that none matches: it is
+    surer than it should be. Set on first frames (docs/suites.md), as `prior`."""
+    prior: float = 1.65
+    """Odds of a matching gate before anybody looks."""
 
 
 class DirectiveFilter:
     """The current directive of one segment.
 
-    An answer declines nothing where the policy is surer that a gate matches than the answer that none does: the two
-    probabilities are multiplied, as those of two witnesses who err independently.
+    An answer that no gate matches declines nothing where the policy is the surer that one does: the two are taken for
+    witnesses who err independently, so their odds are multiplied.
     """
 
     def __init__(self, rule: FilterRule | None = None) -> None:
@@ -61,8 +67,7 @@ class DirectiveFilter:
         meaning = meaning_of(guidance.directive)
         self._evidence = {known: value * self.rule.fading for known, value in self._evidence.items()}
         self._evidence[meaning] = self._evidence.get(meaning, 0.0) + guidance.confidence
-        doubted = self._present is None or not self._present > guidance.confidence
-        self._declined = self._declined + 1 if meaning == HOLD and doubted else 0
+        self._declined = self._declined + 1 if meaning == HOLD and self._doubts(guidance.confidence) else 0
         present = None if self._current is None else meaning_of(self._current.directive)
         if present == meaning:
             self._current, self._seen_at = guidance, seen_at
@@ -74,11 +79,21 @@ class DirectiveFilter:
         self._current, self._seen_at = guidance, seen_at
         return "adopted"
 
+    def _doubts(self, absent: float) -> bool:
+        """Whether no gate matches, by an answer's probability and the policy's opinion, if it has one."""
+        if self._present is None or math.isnan(self._present):
+            return True
+        return _odds(absent) > self.rule.prior * math.pow(_odds(self._present), self.rule.trust)
+
     def guidance(self, now: float) -> Guidance | None:
         """The current directive with its frame's age at `now`, s; none before the first."""
         if self._current is None:
             return None
         return replace(self._current, age=now - self._seen_at)
+
+
+def _odds(probability: float) -> float:
+    return max(probability, 0.0) / max(1.0 - probability, 1e-12)
 
 
 def meaning_of(directive: str) -> _Meaning:
