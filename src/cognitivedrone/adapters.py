@@ -48,6 +48,7 @@ class _Adapted(PlugIn):
         self._what, self._part = what, part
         self.needs_ground_truth = getattr(part, "needs_ground_truth", False) is True
         self.needs_seed = getattr(part, "needs_seed", False) is True
+        self.needs_down_camera = getattr(part, "needs_down_camera", False) is True
         self.reads_english_only = getattr(part, "reads_english_only", False) is True
 
     def reset(self, context: EpisodeContext) -> None:

@@ -35,6 +35,10 @@ class PlugIn:
     needs_seed: bool = False
     """Whether it draws random numbers. If so, contexts include a seed of its own."""
 
+    needs_down_camera: bool = False
+    """Whether observations hold the view of a camera that looks down, too (`Observation.down`); of policies. Simulators
+    have one: ours, and ArduPilot's on our physics, but in real time."""
+
     on_card: bool = False
     """Whether each object holds a network on a graphics card where there is one, unless its argument `device` is cpu.
     By default, no more processes than cards then fly."""

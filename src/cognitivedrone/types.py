@@ -261,6 +261,9 @@ class Observation:
     """Positive to the left, rad/s."""
     time: float
     """Since the start of the flight, s."""
+    down: Image | None = None
+    """(256, 256, 3) what a camera under the drone sees, straight down in its body's frame, its top to the front; only
+    for policies with `needs_down_camera`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,6 +27,17 @@ class Straight:
         return np.array([[self.speed, 0, 0.9 - observation.height, 0]], np.float32)
 
 
+class LooksDown(Straight):
+    """Flies on only while a camera shows it the ground."""
+
+    needs_down_camera = True
+
+    def act(self, observation):
+        if observation.down is None or observation.down.shape != (256, 256, 3):
+            raise RuntimeError("I cannot see the ground")
+        return super().act(observation)
+
+
 class Ended(BaseException):
     """No `Exception`."""
 

@@ -44,6 +44,9 @@ class SlowAviary:
 def short(monkeypatch):
     for name, value in (("REPETITIONS", 1), ("STEPS", 2), ("RESETS", 2)):
         monkeypatch.setattr(environment, name, value)
+    vector, crowded = environment.vector, environment.crowded
+    monkeypatch.setattr(environment, "vector", lambda worlds, **options: vector(min(worlds, 2), **options))
+    monkeypatch.setattr(environment, "crowded", lambda _: crowded(2))
     clock = iter(range(10**6))
     # A clock of its own: the ratio is then of calls, whatever the machine does.
     monkeypatch.setattr(environment, "time", SimpleNamespace(perf_counter=lambda: float(next(clock))))

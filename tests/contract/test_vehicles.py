@@ -203,3 +203,22 @@ def test_a_landing_is_refused_before_take_off_where_there_are_no_pads():
         check_tracks(VehicleSpec("gazebo"), moving)
     check_tracks(VehicleSpec("gazebo"), SUITE.tracks)
     check_tracks(VehicleSpec("sitl"), missions.tracks)
+
+
+@pytest.mark.parametrize(
+    ("link", "pace"), [("mavlink:udp:127.0.0.1:1", "wall"), ("gazebo", "lockstep"), ("sitl", "wall")]
+)
+def test_where_no_camera_looks_down_a_policy_that_needs_one_does_not_fly(link: str, pace: Pace):
+    with pytest.raises(
+        LinkError, match="has no camera that looks down, which the policy needs; fly it with --link sim"
+    ):
+        open_vehicle(Request(VehicleSpec(link), load_pack(), IRIS, pace=pace, down=True))
+
+
+def test_a_policy_sees_the_ground_if_it_needs_to(tmp_path: Path):
+    with closing(open_vehicle(Request(VehicleSpec("sim"), load_pack(), IRIS, folder=tmp_path, down=True))) as vehicle:
+        vehicle.begin(SUITE.tracks[0], np.random.default_rng(0))
+        seen = vehicle.take_off(yes).observe()
+    assert seen.down is not None
+    assert seen.down.shape == seen.image.shape
+    assert (seen.down != seen.image).any()

@@ -258,3 +258,18 @@ def test_the_bounds_of_the_space_are_where_a_flight_diverges():
     space = observation_space()
     for key, limit in (("velocity", 100 * 2**0.5), ("height", 1e4), ("yaw_rate", 300.0)):
         assert np.allclose([space[key].low, space[key].high], np.array([[-limit], [limit]]))
+
+
+def test_with_a_camera_that_looks_down_observations_have_its_view_too():
+    alone = CognitiveDroneEnv("open-v1:smoke", down_camera=True)
+    many = CognitiveDroneVectorEnv(2, "open-v1:smoke", down_camera=True)
+    plain = CognitiveDroneEnv("open-v1:smoke")
+    seen, shown, other = (env.reset(seed=3, options={"episode": 0})[0] for env in (alone, many, plain))
+    assert alone.observation_space.contains(seen)
+    assert many.observation_space.contains(shown)
+    assert "down" not in other
+    assert (seen["image"] == other["image"]).all()
+    assert seen["down"].shape == (256, 256, 3)
+    assert (seen["down"] != seen["image"]).any()
+    for env in (alone, many, plain):
+        env.close()

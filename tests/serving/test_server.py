@@ -14,7 +14,7 @@ import websockets.exceptions
 from policy_clients import Client, observation, packed
 from served_pilots import Held
 
-from cognitivedrone.errors import GroundTruthError, PluginError, ServerError, UsageError
+from cognitivedrone.errors import GroundTruthError, PluginError, PolicyError, ServerError, UsageError
 from cognitivedrone.serving import admission, protocols
 from cognitivedrone.serving.config import ServePlan
 from cognitivedrone.serving.server import serving
@@ -373,6 +373,12 @@ def test_an_oracle_is_not_served():
     for options in ({"policy": "oracle"}, {"reasoner": "oracle"}):
         with pytest.raises(GroundTruthError, match=says), served(**options):
             pass
+
+
+def test_a_policy_that_looks_down_is_not_served():
+    says = "needs a camera that looks down, which no client sends"
+    with pytest.raises(PolicyError, match=says), served(policy="served_pilots:LooksDown"):
+        pass
 
 
 def test_a_port_that_is_taken_is_named(address):

@@ -316,3 +316,26 @@ def test_what_moves_is_drawn_where_it_is_at_the_time_of_each_frame(cameras: Came
     for image, side in zip(seen, (0.8, -0.8), strict=False):
         cameras.set_stage(0, replace(stage, obstacles=(replace(person, y=side, sway=0.0),)), [GREY] * 3)
         assert (cameras.first_person(pose[0][:1], pose[1][:1])[0] == image).all()
+
+
+def test_the_camera_that_looks_down_sees_the_pad_under_the_drone_with_its_top_to_the_front(cameras: Cameras) -> None:
+    stage = replace(TURNED, landing=True)
+    centers = geometry.gate_centers(stage)
+    attitude = quaternion_from_yaw(stage.yaw)
+    cameras.set_stage(0, stage, [GREY] * 3)
+    middle, size = IMAGE_SIZE // 2, IMAGE_SIZE
+    above = centers[1] + [0.0, 0.0, 2.0]
+    behind = above - rotate_yaw(np.array([0.8, 0.0, 0.0]), stage.yaw)
+    seen = cameras.first_person([above, behind], [attitude] * 2, slots=[0, 0], down=True)
+    bare = cameras.first_person([above + np.array([40.0, 0.0, 0.0])], [attitude], slots=[0], down=True)[0]
+    pad, floor = seen[0][middle, middle], bare[middle, middle]
+    assert (pad != floor).any()
+    half = focal_px(size) * geometry.PAD_RADIUS / (2.0 - 0.05)
+    shown = (seen[0] == pad).all(axis=-1)
+    assert shown.sum() == pytest.approx(np.pi * half**2, rel=0.05)
+    rows = np.flatnonzero((seen[1] == pad).all(axis=-1).any(axis=1))
+    assert rows.mean() == pytest.approx(middle - focal_px(size) * 0.8 / 1.95, abs=2)
+
+
+def focal_px(pixels: int) -> float:
+    return pixels / 2 / math.tan(FIELD_OF_VIEW / 2)

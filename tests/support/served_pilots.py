@@ -34,6 +34,12 @@ class Counting(Policy):
         return np.array([[self.stage, self.seen, len(observation.instruction), observation.height]], np.float32)
 
 
+class LooksDown(Counting):
+    """Needs a camera that clients do not have."""
+
+    needs_down_camera = True
+
+
 class Seeded(Policy):
     """Answers with its seed. It cannot be forked."""
 

@@ -111,7 +111,7 @@ def fly_mission(
         plans = _planned(plan, pilot, scene)
         log, summary, error = None, None, ""
         try:
-            with closing(_open(plan, out, pace)) as vehicle:
+            with closing(_open(plan, out, pace, down=pilot.policy.needs_down_camera)) as vehicle:
                 if scene is not None:
                     scene = _begin(plan, vehicle, pilot, scene, evidence, given=given)
                     say(console, scene.summary)
@@ -257,7 +257,7 @@ def certainty(reasoner: Reasoner, track_runner: TrackRunner, instruction: str) -
     return found.confidence * (1.0 if found.present is None else found.present) * right
 
 
-def _open(plan: FlyPlan, out: Path, pace: Pace) -> Vehicle:
+def _open(plan: FlyPlan, out: Path, pace: Pace, *, down: bool) -> Vehicle:
     """The vehicle of a plan; its scene has no time limit, since a person ends the flight."""
     scenario = plan.scenario
     check_vehicle(plan.vehicle, scenario)
@@ -270,6 +270,7 @@ def _open(plan: FlyPlan, out: Path, pace: Pace) -> Vehicle:
             pace=pace,
             safety=plan.safety,
             folder=out,
+            down=down,
         )
     )
 

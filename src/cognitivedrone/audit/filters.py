@@ -54,6 +54,7 @@ class FilteredPolicy(Policy):
     def __init__(self, policy: str, light: float = 1.0, roll_deg: float = 0.0, shift_px: float = 0.0) -> None:
         self._filter, self._policy = Filter(light, roll_deg, shift_px), make_policy(policy)
         self.needs_ground_truth, self.needs_seed = self._policy.needs_ground_truth, self._policy.needs_seed
+        self.needs_down_camera = self._policy.needs_down_camera
 
     @property
     def declines(self) -> bool:  # type: ignore[override]
@@ -75,7 +76,8 @@ class FilteredPolicy(Policy):
 
     def act(self, observation: Observation) -> ActionChunk:
         """As the policy, of the filtered picture."""
-        return self._policy.act(replace(observation, image=self._filter(observation.image)))
+        down = None if observation.down is None else self._filter(observation.down)
+        return self._policy.act(replace(observation, image=self._filter(observation.image), down=down))
 
     def close(self) -> None:
         """As the policy."""

@@ -67,12 +67,12 @@ def look_around(tasks: int = TASKS, seed: int = 0) -> list[View]:
 
 def _flight(runner: TrackRunner, task: Task, rng: np.random.Generator) -> Iterator[View]:
     runner.begin((task,), rng)
-    drone, expert = SimulatedDrone(runner), Expert()
+    drone, expert = SimulatedDrone(runner, down=True), Expert()
     expert.reset(EpisodeContext(task.instruction, ground_truth=runner.truth()))
     for step in range(STEPS[-1] + 1):
         if step in STEPS:
             seen = drone.observe()
-            seen = replace(seen, image=seen.image.copy())
+            seen = replace(seen, image=seen.image.copy(), down=None if seen.down is None else seen.down.copy())
             yield View(task, runner.stage, _copy(runner.world.state()), seen, _commands(runner), step > 0)
         runner.world.command(clip_action(expert.command() + rng.normal(size=4) * _SWAY))
         runner.world.advance()

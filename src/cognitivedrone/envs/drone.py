@@ -19,9 +19,11 @@ class SimulatedDrone:
     drone and clock in one.
     """
 
-    def __init__(self, track_runner: TrackRunner) -> None:
+    def __init__(self, track_runner: TrackRunner, *, down: bool = False) -> None:
+        """With `down`, observations hold the view of the camera that looks down, too."""
         self.track_runner = track_runner
         self.world = track_runner.world
+        self._down = down
 
     def observe(self) -> Observation:
         """The current frame and state."""
@@ -33,6 +35,7 @@ class SimulatedDrone:
             height=height,
             yaw_rate=yaw_rate,
             time=self.world.time(),
+            down=self.world.frame(down=True) if self._down else None,
         )
 
     def send(self, action: Action) -> Action:

@@ -47,14 +47,16 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         time_limit_s: float = 30.0,
         render_mode: str | None = None,
         camera: Camera = "drone",
+        down_camera: bool = False,
         **options: Any,
     ) -> None:
         scenario = scenario_of(type(self).__init__, suite, options)
         self.suite = tasks_of(suite, scenario)
-        self.observation_space = observation_space()
+        self.observation_space = observation_space(down_camera=down_camera)
         self.action_space = action_space()  # type: ignore[assignment]
         self.view = TaskView(render_mode, camera, find_airframe(scenario.airframe))
         self.render_mode = render_mode
+        self._down = down_camera
         self._worlds = Worlds.of(scenario, time_limit_s=time_limit_s)
         (self.track_runner,) = self._worlds.runners
 
@@ -102,7 +104,7 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         return self.track_runner.truth()
 
     def _observe(self) -> dict[str, Any]:
-        return {name: values[0] for name, values in self._worlds.observe().items()}
+        return {name: values[0] for name, values in self._worlds.observe(down=self._down).items()}
 
     def _info(self, **more: Any) -> Info:
         return {"task": self.track_runner.task, "results": tuple(self.track_runner.results), **more}

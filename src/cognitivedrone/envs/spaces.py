@@ -89,13 +89,15 @@ def action_space() -> spaces.Box:
     return spaces.Box(-limit, limit, dtype=np.float32)
 
 
-def observation_space() -> spaces.Dict:
+def observation_space(*, down_camera: bool = False) -> spaces.Dict:
     """The space of `Observation`, for one world. Beyond the bounds, a flight counts as diverged."""
     # The heading frame mixes the world's x and y, so one component can be as large as both together.
     fastest = math.sqrt(2) * MAX_VELOCITY_M_S
+    picture = spaces.Box(0, 255, (IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
     return spaces.Dict(
         {
-            "image": spaces.Box(0, 255, (IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8),
+            "image": picture,
+            **({"down": picture} if down_camera else {}),
             "instruction": InstructionSpace(),
             "velocity": _within(fastest, 3),
             "height": _within(MAX_POSITION_M, 1),

@@ -62,6 +62,7 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
         copy: bool = True,
         render_mode: str | None = None,
         camera: Camera = "drone",
+        down_camera: bool = False,
         **options: Any,
     ) -> None:
         scenario = scenario_of(type(self).__init__, suite, options)
@@ -80,13 +81,13 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}  # type: ignore[misc]
         self.suite = tasks_of(suite, scenario)
         self.render_mode = render_mode
-        self.single_observation_space = observation_space()
+        self.single_observation_space = observation_space(down_camera=down_camera)
         self.single_action_space = action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.views = [TaskView(render_mode, camera, find_airframe(scenario.airframe)) for _ in range(num_envs)]
         self._most_steps = None if max_episode_steps == -1 else max_episode_steps
-        self._camera, self._copy = camera, copy
+        self._camera, self._copy, self._down = camera, copy, down_camera
         threads = threads or min(cores(), num_envs)
         self._worlds = Worlds.of(scenario, num_envs, time_limit_s=time_limit_s, threads=threads)
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]
@@ -166,7 +167,7 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
         self.views[world].cut()
 
     def _observe(self) -> dict[str, Any]:
-        observation = self._worlds.observe(self._images)
+        observation = self._worlds.observe(self._images, down=self._down)
         return observation | {"image": self._images.copy()} if self._copy else observation
 
     def _info(self, results: list[StageResult | None]) -> Info:

@@ -44,11 +44,12 @@ class Worlds(AbstractContextManager["Worlds"]):
         """Begin an episode of a suite in one world, as the benchmark flies it with this seed."""
         self.runners[world].begin(suite.tracks[episode], episode_rng(suite.digest, episode, seed))
 
-    def observe(self, frames: Images | None = None) -> dict[str, Any]:
+    def observe(self, frames: Images | None = None, *, down: bool = False) -> dict[str, Any]:
         """What the drones see and measure: arrays (count, ...) by the names of `observation_space`, and sentences."""
         flight = self.simulator.flight
         return {
             "image": self.simulator.frames(frames),
+            **({"down": self.simulator.frames(down=True)} if down else {}),
             "instruction": tuple(runner.instruction for runner in self.runners),
             "velocity": world_to_heading(flight.velocity, yaw_of(flight.quaternion)).astype(np.float32),
             "height": flight.position[:, 2:].astype(np.float32),

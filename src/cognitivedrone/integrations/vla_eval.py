@@ -26,7 +26,7 @@ from vla_eval.render import apply_env
 from vla_eval.specs import IMAGE_RGB, LANGUAGE, DimSpec
 
 from cognitivedrone.control.calls import begin_stage, check_chunk
-from cognitivedrone.errors import GroundTruthError
+from cognitivedrone.errors import GroundTruthError, PolicyError
 from cognitivedrone.integrations.flights import CAMERA, OUTCOMES, STATE, Flights, View, family_of, metrics_of
 from cognitivedrone.interfaces import Policy
 from cognitivedrone.plan import Scenario
@@ -217,6 +217,8 @@ class PolicyServer(PredictModelServer):
         self._policy = make_policy(policy)
         if self._policy.needs_ground_truth:
             raise GroundTruthError(f"the policy {policy!r} uses privileged state, which the harness does not send")
+        if self._policy.needs_down_camera:
+            raise PolicyError(f"the policy {policy!r} needs a camera that looks down, which the harness does not have")
         self._policy.check()
         self._free: list[Policy] = []
         self._sessions: dict[str, _Session] = {}

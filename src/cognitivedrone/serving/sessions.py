@@ -14,7 +14,7 @@ import numpy as np
 from cognitivedrone.control.async_reasoner import Question, SimulatedReasoner, asking, check_guidance
 from cognitivedrone.control.calls import calling, check_chunk
 from cognitivedrone.control.directive_filter import DirectiveFilter
-from cognitivedrone.errors import CognitiveDroneError, GroundTruthError, MessageError, PolicyRaised
+from cognitivedrone.errors import CognitiveDroneError, GroundTruthError, MessageError, PolicyError, PolicyRaised
 from cognitivedrone.files import digest_of_file
 from cognitivedrone.interfaces import Policy, Reasoner
 from cognitivedrone.pilot import Pilot
@@ -33,7 +33,11 @@ class Served:
     """A policy and maybe a reasoner, from whose weights every client's session is made."""
 
     def __init__(self, spec: PilotSpec, pilot: Pilot) -> None:
-        """Raises `GroundTruthError` for an oracle: clients do not send the ground truth."""
+        """Raises `GroundTruthError` for an oracle, and `PolicyError` for a policy that needs a camera which looks down:
+        clients send neither.
+        """
+        if pilot.policy.needs_down_camera:
+            raise PolicyError(f"the policy {spec.policy!r} needs a camera that looks down, which no client sends")
         for kind, part in (("policy", pilot.policy), ("reasoner", pilot.reasoner)):
             if part is not None and part.needs_ground_truth:
                 name = spec.policy if kind == "policy" else spec.reasoner

@@ -77,8 +77,8 @@ class DroneWorld(Protocol):
         """Advance by ticks of `Flight.TICK_S`; returns what happened at the gates."""
         ...
 
-    def frame(self) -> Image:
-        """The first-person view, (size, size, 3) uint8."""
+    def frame(self, *, down: bool = False) -> Image:
+        """The first-person view, or that of the camera that looks down, (size, size, 3) uint8."""
         ...
 
     def state(self) -> DroneState:

@@ -72,17 +72,17 @@ class Simulator:
             for world, gate_monitor in enumerate(self._gate_monitors)
         ]
 
-    def frames(self, out: Images | None = None, worlds: Sequence[int] | None = None) -> Images:
-        """First-person views (n, size, size, 3) of all worlds, or of some."""
+    def frames(self, out: Images | None = None, worlds: Sequence[int] | None = None, *, down: bool = False) -> Images:
+        """First-person views (n, size, size, 3) of all worlds, or of some; those of the camera that looks down."""
         if self.cameras is None:
             raise ValueError("this simulator was made without cameras")
         flight, times = self.flight, self.ticks * Flight.TICK_S
         rates = flight.body_rates[:, 2]
         if worlds is None:
-            return self.cameras.first_person(flight.position, flight.quaternion, out, None, rates, times)
+            return self.cameras.first_person(flight.position, flight.quaternion, out, None, rates, times, down=down)
         chosen = list(worlds)
         position, quaternion = flight.position[chosen], flight.quaternion[chosen]
-        return self.cameras.first_person(position, quaternion, out, chosen, rates[chosen], times[chosen])
+        return self.cameras.first_person(position, quaternion, out, chosen, rates[chosen], times[chosen], down=down)
 
     def gate_monitor(self, world: int) -> GateMonitor:
         """The gate monitor of the current stage."""
@@ -143,9 +143,9 @@ class SimulatorWorld:
         """Fly on by physics ticks, all worlds of the simulator together."""
         return self.simulator.advance(ticks)[self.index]
 
-    def frame(self) -> Image:
-        """The first-person view, (size, size, 3) uint8."""
-        image: Image = self.simulator.frames(worlds=[self.index])[0]
+    def frame(self, *, down: bool = False) -> Image:
+        """The first-person view, or that of the camera that looks down, (size, size, 3) uint8."""
+        image: Image = self.simulator.frames(worlds=[self.index], down=down)[0]
         return image
 
     def state(self) -> DroneState:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cognitivedrone import registry
-from cognitivedrone.errors import RunError
+from cognitivedrone.errors import LinkError, RunError
 from cognitivedrone.plan import Scenario, VehicleSpec
 from cognitivedrone.types import Track
 
@@ -30,7 +30,10 @@ def open_vehicle(request: Request) -> Vehicle:
 
     Raises `LinkError`, `GazeboError`, `CameraError` or `MissingExtra` if it cannot be opened or must not be flown.
     """
-    vehicle: Vehicle = registry.load("link", request.spec.kind, VEHICLES)(request)
+    kind = request.spec.kind
+    if request.down and not (kind == "sim" or (kind == "sitl" and request.pace == "lockstep")):
+        raise LinkError(f"--link {kind} has no camera that looks down, which the policy needs; fly it with --link sim")
+    vehicle: Vehicle = registry.load("link", kind, VEHICLES)(request)
     return vehicle
 
 

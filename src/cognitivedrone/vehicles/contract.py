@@ -67,6 +67,8 @@ class Request:
     """For MAVLink vehicles on the wall clock."""
     folder: Path | None = None
     """Folder for the vehicle's logs; without it, none are written."""
+    down: bool = False
+    """Whether observations hold the view of a camera that looks down."""
 
 
 class Vehicle(Protocol):

@@ -143,8 +143,8 @@ class StageView(Protocol):
         """Show a stage with its pictures."""
         ...
 
-    def frame(self, state: DroneState, time: float) -> Image:
-        """The first-person view from a state, (size, size, 3) uint8, `time` s after the flight began."""
+    def frame(self, state: DroneState, time: float, *, down: bool = False) -> Image:
+        """The view from a state, (size, size, 3) uint8, `time` s after the flight began."""
         ...
 
 
@@ -192,9 +192,9 @@ class ExternalWorld:
         self._ticks += ticks
         return None if self.diverged else self.gate_monitor.follow(path, began, self.time())
 
-    def frame(self) -> Image:
-        """The first-person view, (size, size, 3) uint8."""
-        return self._view.frame(self.state(), self.time())
+    def frame(self, *, down: bool = False) -> Image:
+        """The first-person view, or that of the camera that looks down, (size, size, 3) uint8."""
+        return self._view.frame(self.state(), self.time(), down=down)
 
     def state(self) -> DroneState:
         """The drone's true state."""

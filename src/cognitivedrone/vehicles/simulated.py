@@ -38,6 +38,7 @@ class SimulatedFlight:
         self._pace = pace
         self._flight = flight
         self._renderer = renderer
+        self._down = request.down
 
     @property
     def trouble(self) -> str:
@@ -60,7 +61,7 @@ class SimulatedFlight:
 
     def take_off(self, confirm: Confirm) -> ClockedDrone:  # noqa: ARG002
         """Return the drone, which is already in the air; no confirmation is needed."""
-        drone = SimulatedDrone(self.track_runner)
+        drone = SimulatedDrone(self.track_runner, down=self._down)
         return PacedDrone(drone) if self._pace == "wall" else drone
 
     def status(self) -> Status:

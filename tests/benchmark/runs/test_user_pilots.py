@@ -143,3 +143,10 @@ def test_a_policy_that_cannot_be_made_is_one_sentence_and_writes_nothing(tmp_pat
     with pytest.raises(PolicyError, match="speed is 'fast'; it is a number"):
         evaluate("user_pilots:Straight:fast", out=tmp_path / "run", progress=False)
     assert not (tmp_path / "run").exists()
+
+
+def test_a_policy_that_needs_a_camera_that_looks_down_has_one_in_the_simulator(tmp_path):
+    flown = evaluate(
+        "user_pilots:LooksDown", suite="open-v1:smoke", episodes=2, workers=0, out=tmp_path / "run", progress=False
+    )
+    assert flown.summary.overall.outcomes["policy_error"] == 0

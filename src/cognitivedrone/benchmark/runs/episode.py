@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import traceback
 from contextlib import ExitStack
+from dataclasses import replace
 
 import numpy as np
 
@@ -41,7 +42,7 @@ class PilotRunner:
             else:
                 pilot.check()
             self.policy, self.reasoner = pilot.policy, pilot.reasoner
-            self.vehicle = open_vehicle(job.request)
+            self.vehicle = open_vehicle(replace(job.request, down=self.policy.needs_down_camera))
             undo.callback(self.vehicle.close)
             if self.vehicle.track_runner is None:
                 raise RunError("flights of this vehicle cannot be scored: it has no ground truth")

@@ -24,7 +24,7 @@ from cognitivedrone.layout.obstacles import Solids
 from cognitivedrone.sim.drawing.gl import GLThread, enlarge_only, renderer_name
 from cognitivedrone.sim.drawing.readback import OneByOne, readback
 from cognitivedrone.sim.drawing.renderers import contexts_for, on_processor
-from cognitivedrone.sim.drawing.views import FIELD_OF_VIEW, MOUNT, View, focal_length, top_view
+from cognitivedrone.sim.drawing.views import DOWN_MOUNT, FIELD_OF_VIEW, MOUNT, View, focal_length, top_view
 from cognitivedrone.types import IMAGE_SIZE, DroneState, FloatArray, Image, Images, Stage, Vector, Vectors
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import PLAIN, Appearance, expose
@@ -101,12 +101,15 @@ class Cameras:
         slots: Sequence[int] | None = None,
         yaw_rates: ArrayLike | None = None,
         times: ArrayLike | None = None,
+        *,
+        down: bool = False,
     ) -> Images:
         """First-person images (n, size, size, 3) uint8 of drones at `positions` (n, 3) world m, attitudes (n, 4) wxyz.
 
         Image i shows the world of `slots[i]`, or of slot i without `slots`. A slot may occur several times.
         The result is written into `out` if given. `yaw_rates` (n,) rad/s blur the pictures of appearances with an
-        exposure. `times` (n,) s since each flight began say where moving obstacles are.
+        exposure. `times` (n,) s since each flight began say where moving obstacles are. `down` takes the camera under
+        the drone instead.
         """
         position = np.asarray(positions, dtype=np.float64)
         axes = rotation_matrix(np.asarray(quaternions, dtype=np.float64))
@@ -122,8 +125,10 @@ class Cameras:
             out = np.empty(shape, np.uint8)
         elif out.shape != shape or out.dtype != np.uint8:
             raise ValueError(f"out must be uint8 {shape}, not {out.dtype} {out.shape}")
-        forward, up = axes[..., 0], axes[..., 2]
-        eye = position + MOUNT[0] * forward + MOUNT[1] * axes[..., 1] + MOUNT[2] * up
+        ahead, above = axes[..., 0], axes[..., 2]
+        mount = DOWN_MOUNT if down else MOUNT
+        eye = position + mount[0] * ahead + mount[1] * axes[..., 1] + mount[2] * above
+        forward, up = (-above, ahead) if down else (ahead, above)
         rates = np.zeros(count) if yaw_rates is None else np.asarray(yaw_rates, dtype=np.float64)
         blur = np.abs(rates) * focal_length(self.size, FIELD_OF_VIEW)
         clock = np.zeros(count) if times is None else np.asarray(times, dtype=np.float64)

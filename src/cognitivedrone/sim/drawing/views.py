@@ -15,6 +15,8 @@ FIELD_OF_VIEW: Final = 1.85
 """Field of view of the first-person camera, horizontal and, because images are square, vertical, rad."""
 MOUNT: Final = (0.1, 0.0, 0.3)
 """Camera position on the vehicle, body FLU, m. It looks along the body's x axis and tilts with the body."""
+DOWN_MOUNT: Final = (0.0, 0.0, -0.05)
+"""Position of the camera that looks down, along the body's z axis; the top of its picture is to the front."""
 
 _TOP_FIELD_OF_VIEW: Final = 1.1  # vertical, rad
 _TOP_EYE, _TOP_TARGET = (-6.0, 0.0, 9.0), (2.2, 0.0, 1.0)  # stage frame, m

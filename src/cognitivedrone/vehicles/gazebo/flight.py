@@ -143,8 +143,8 @@ class GazeboFlight(ExternalFlight):
             self._await_frames()
             self._resume()
 
-    def frame(self, state: DroneState, time: float) -> Image:  # noqa: ARG002
-        """The newest frame of Gazebo's camera, whatever `state` and `time` are.
+    def frame(self, state: DroneState, time: float, *, down: bool = False) -> Image:  # noqa: ARG002
+        """The newest frame of Gazebo's camera, which looks ahead, whatever `state` and `time` are.
 
         Raises `CameraError` if the camera sends no frames.
         """

@@ -67,10 +67,10 @@ class RenderedView:
         """Put up a stage."""
         self._cameras.set_stage(0, stage, scenery.panels, scenery.board, scenery.appearance)
 
-    def frame(self, state: DroneState, time: float) -> Image:
-        """The first-person view from a state, (256, 256, 3) uint8, `time` s after the flight began."""
+    def frame(self, state: DroneState, time: float, *, down: bool = False) -> Image:
+        """The view from a state, (256, 256, 3) uint8, `time` s after the flight began."""
         place, attitude = state.position[None], state.quaternion[None]
-        image: Image = self._cameras.first_person(place, attitude, times=[time])[0]
+        image: Image = self._cameras.first_person(place, attitude, times=[time], down=down)[0]
         return image
 
 
