@@ -11,8 +11,13 @@ from cognitivedrone.tasks import BASE_FAMILIES, train_task
 DT = 0.1
 
 
-def make_episode(index: int = 0, length: int = 8, family: str | None = None, encoding: Encoding = "png") -> Episode:
-    """A flight of `length` steps along a gentle curve; the same arguments give the same bits."""
+def make_episode(
+    index: int = 0, length: int = 8, family: str | None = None, encoding: Encoding = "png", *, down: bool = False
+) -> Episode:
+    """A flight of `length` steps along a gentle curve; the same arguments give the same bits.
+
+    With `down`, a camera that looks down saw the mirrored pictures.
+    """
     rng = np.random.default_rng([7, index])
     order = index if family is None else index * len(BASE_FAMILIES) + BASE_FAMILIES.index(family)
     yaw = rng.uniform(-1, 1) + np.cumsum(rng.normal(0.03, 0.01, length + 1))
@@ -45,6 +50,7 @@ def make_episode(index: int = 0, length: int = 8, family: str | None = None, enc
         position=points[:-1],
         quaternion=quaternion_from_yaw(yaw[:-1]).astype(np.float64),
         final_position=points[-1],
+        down=tuple(encode_image(make_image(index, step)[:, ::-1], encoding) for step in range(length if down else 0)),
     )
 
 
@@ -64,5 +70,5 @@ def assert_same_episode(a: Episode, b: Episode) -> None:
         x, y = getattr(a, name), getattr(b, name)
         assert x.dtype == y.dtype, name
         np.testing.assert_array_equal(x, y, err_msg=name)
-    for name in ("index", "suite", "task", "conditions", "encoding", "images"):
+    for name in ("index", "suite", "task", "conditions", "encoding", "images", "down"):
         assert getattr(a, name) == getattr(b, name), name

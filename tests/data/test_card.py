@@ -54,6 +54,15 @@ def test_card_shows_every_family_and_loads_nothing(sound_store: Path, tmp_path: 
     assert not re.search(r"url\(|https?://", (tmp_path / "card.html").read_text())
 
 
+def test_card_shows_what_the_camera_that_looks_down_saw(tmp_path: Path) -> None:
+    flight = make_episode(0, length=4, down=True)
+    card(write_store(tmp_path / "store", [flight]), tmp_path / "card.html")
+    page = Page(tmp_path / "card.html")
+    told = [attributes["alt"] for tag, attributes in page.tags if tag == "img"]
+    assert told == [f"frame {k} of episode 0{how}" for how in ("", ", looking down") for k in range(1, 5)]
+    assert "those of a camera that looks down" in page.text
+
+
 def test_flights_below_an_hour_are_shown_in_minutes(sound_store: Path, tmp_path: Path, flights: list[Episode]) -> None:
     card(sound_store, tmp_path / "card.html")
     minutes = sum(map(len, flights)) / 10 / 60

@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from factory import make_episode
 from made_stores import seal, write_store
 from PIL import Image as PillowImage
 
@@ -106,6 +107,13 @@ def test_rows_of_another_episode_are_not_read(store: Path) -> None:
     for read in (lambda: opened.episode(0), lambda: opened.steps([0]), lambda: opened.actions()):
         with pytest.raises(DataError, match="are those of another"):
             read()
+
+
+def test_verify_looks_at_the_frames_of_the_camera_that_looks_down(tmp_path: Path) -> None:
+    store = write_store(tmp_path / "store", [make_episode(index, 2, down=True) for index in range(3)])
+    forge(store, lambda columns, footer: columns[1]["image_down"].__setitem__(1, picture(64, 64)))
+    (problem,) = verify(store)
+    assert "episode 1: frame 1 of the camera that looks down has 64 x 64 pixels" in problem.message
 
 
 @pytest.mark.parametrize("name", ["image", "episode", "position"])

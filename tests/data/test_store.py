@@ -57,6 +57,28 @@ def test_frames_are_stored_as_encoded(tmp_path: Path, encoding: Encoding) -> Non
     assert set(codecs.values()) == {"ZSTD"}
 
 
+def test_frames_of_the_camera_that_looks_down_come_back_and_change_nothing_else(tmp_path: Path) -> None:
+    front, both = ([make_episode(index, 3, down=down) for index in range(10)] for down in (False, True))
+    without, store = (Store.open(write_store(tmp_path / name, made)) for name, made in (("1", front), ("2", both)))
+    assert (without.down_camera, store.down_camera) == (False, True)
+    for flight, stored in zip(both, store.episodes(), strict=True):
+        assert_same_episode(flight, stored)
+    assert verify(tmp_path / "2") == []
+    for one, other in zip(without.steps(range(9)).values(), store.steps(range(9)).values(), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_one_store_has_one_kind_of_camera(tmp_path: Path) -> None:
+    writer = writer_at(tmp_path / "store")
+    one, other = make_episode(0), make_episode(1, down=True)
+    with pytest.raises(DataError, match="episode 1: has frames of the camera that looks down, unlike those before it"):
+        writer.write_shard(0, [one, other], {})
+    writer.write_shard(0, [one], {})
+    writer.write_shard(1, [other], {})
+    with pytest.raises(DataError, match="only some shards have frames of the camera that looks down"):
+        writer.finish()
+
+
 def test_shards_may_be_written_in_any_order_by_any_process(
     tmp_path: Path, sound_store: Path, flights: list[Episode]
 ) -> None:
@@ -328,6 +350,7 @@ def test_flights_that_do_not_fit_are_refused(tmp_path: Path, flights: list[Episo
             (replace(flight, action=flight.action[1:]), "episode 0: action is float32"),
             (replace(flight, position=flight.position.astype(np.float32)), "episode 0: position is float32"),
             (replace(flight, images=()), "episode 0: has no step"),
+            (replace(flight, down=flight.images[1:]), "episode 0: has 1 frames that look down; it must be one a step"),
             (replace(flight, action=nan), "episode 0: action holds a number that is not finite"),
         ]
     for bad, message in misfits:

@@ -34,8 +34,11 @@ def faults_of(shard: ShardFile) -> Iterator[str]:
             except DataError as error:
                 yield f"{where}: {error}"
                 continue
-            checks = pool.map(_fault_of_frame, episode.images, [episode.encoding] * len(episode))
-            frame = next((f"frame {step} {fault}" for step, fault in enumerate(checks) if fault), None)
+            steps = [f"frame {step}" for step in range(len(episode))]
+            names = steps + [f"{step} of the camera that looks down" for step in steps if episode.down]
+            frames = episode.images + episode.down
+            checks = pool.map(_fault_of_frame, frames, [episode.encoding] * len(frames))
+            frame = next((f"{name} {fault}" for name, fault in zip(names, checks, strict=True) if fault), None)
             if fault := _fault_of_numbers(episode) or frame:
                 yield f"{where}: {fault}"
 

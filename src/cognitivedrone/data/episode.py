@@ -71,6 +71,9 @@ class Episode:
     """(T, 4) ground truth, w, x, y, z, body to world."""
     final_position: Float64[Float64Array, 3]
     """(3,) world, m, after the last action."""
+    down: tuple[bytes, ...] = ()
+    """T encoded frames of the camera that looks down, 256x256 RGB, each of the same moment as its neighbour in `images`
+    and encoded alike; empty where only the first-person view was recorded."""
 
     def __len__(self) -> int:
         return len(self.images)

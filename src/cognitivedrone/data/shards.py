@@ -51,14 +51,17 @@ def _arrow_type(dtype: str, width: int) -> Any:
     return scalar if width == 1 else pa.list_(pa.field("element", scalar, nullable=False), width)
 
 
+DOWN: Final = "image_down"
+"""Column of the frames of the camera that looks down, only in shards whose episodes have them."""
 SCHEMA: Final = pa.schema(
     [pa.field("episode", pa.int64(), nullable=False), pa.field("step", pa.int32(), nullable=False)]
     + [pa.field("image", pa.binary(), nullable=False)]
     + [pa.field(name, _arrow_type(*WIDTHS[name]), nullable=False) for name in WIDTHS]
 )
+DOWN_SCHEMA: Final = SCHEMA.insert(SCHEMA.names.index("image") + 1, SCHEMA.field("image").with_name(DOWN))
 _ORDER: Final = ("episode", "step")
 """Columns that say which step of which episode a row is."""
-COMPRESSION: Final = {"episode": "zstd", "step": "zstd", "image": "none"} | {
+COMPRESSION: Final = {"episode": "zstd", "step": "zstd", "image": "none", DOWN: "none"} | {
     name if width == 1 else f"{name}.list.element": "zstd" for name, (_, width) in WIDTHS.items()
 }
 """Compression by Parquet's column paths."""
@@ -68,15 +71,17 @@ def write_shard_file(path: Path, episodes: Sequence[Episode], dropped: Mapping[s
     """Write a shard of complete episodes: same episodes, same bytes. Raises `DataError` and leaves `path` unchanged."""
     for episode in episodes:
         check_episode(episode)
+        check_cameras(episode, down=bool(episodes[0].down))
+    schema = DOWN_SCHEMA if episodes and episodes[0].down else SCHEMA
     footer = {"episodes": [_facts(episode) for episode in episodes], "dropped": dict(sorted(dropped.items()))}
 
     def write(temporary: Path) -> None:
         with pq.ParquetWriter(
-            temporary, SCHEMA, compression=COMPRESSION, use_dictionary=False, write_statistics=False
+            temporary, schema, compression=COMPRESSION, use_dictionary=False, write_statistics=False
         ) as writer:
             writer.add_key_value_metadata({FOOTER_KEY: json.dumps(footer, ensure_ascii=False, allow_nan=False)})
             for episode in episodes:
-                writer.write_table(_table(episode), row_group_size=len(episode))
+                writer.write_table(_table(episode, schema), row_group_size=len(episode))
 
     write_atomically(path, write)
 
@@ -86,6 +91,8 @@ def check_episode(episode: Episode) -> None:
     where = f"episode {episode.index}"
     if len(episode) == 0:
         raise DataError(f"{where}: has no step; a recorded flight has at least one")
+    if len(episode.down) not in (0, len(episode)):
+        raise DataError(f"{where}: has {len(episode.down)} frames that look down; it must be one a step, or none")
     for name, (dtype, width) in WIDTHS.items():
         array = getattr(episode, name)
         shape = (len(episode),) if width == 1 else (len(episode), width)
@@ -98,17 +105,29 @@ def check_episode(episode: Episode) -> None:
         raise DataError(f"{where}: {unfit[0]} holds a number that is not finite; such a flight cannot be learned from")
 
 
-def _table(episode: Episode) -> Any:
+def check_cameras(episode: Episode, *, down: bool) -> None:
+    """Raise `DataError` unless it has frames of the camera that looks down, or has none, like the rest of its set."""
+    if bool(episode.down) != down:
+        there = "no frames" if down else "frames"
+        raise DataError(
+            f"episode {episode.index}: has {there} of the camera that looks down, unlike those before it; keep flights"
+            " with them in a set of their own"
+        )
+
+
+def _table(episode: Episode, schema: Any) -> Any:
     length = len(episode)
     columns = [
         pa.array(np.full(length, episode.index, np.int64)),
         pa.array(np.arange(length, dtype=np.int32)),
         pa.array(episode.images, pa.binary()),
     ]
+    if DOWN in schema.names:
+        columns.append(pa.array(episode.down, pa.binary()))
     for name, (_, width) in WIDTHS.items():
         flat = pa.array(np.ascontiguousarray(getattr(episode, name)).reshape(-1))
-        columns.append(flat if width == 1 else pa.FixedSizeListArray.from_arrays(flat, type=SCHEMA.field(name).type))
-    return pa.Table.from_arrays(columns, schema=SCHEMA)
+        columns.append(flat if width == 1 else pa.FixedSizeListArray.from_arrays(flat, type=schema.field(name).type))
+    return pa.Table.from_arrays(columns, schema=schema)
 
 
 def _facts(episode: Episode) -> dict[str, Any]:
@@ -135,7 +154,7 @@ def check_unpacked_size(metadata: Any, file_bytes: int) -> None:
     for number in range(metadata.num_row_groups):
         group = metadata.row_group(number)
         for column in map(group.column, range(group.num_columns)):
-            if column.path_in_schema == "image":
+            if column.path_in_schema in ("image", DOWN):
                 packed = column.compression != "UNCOMPRESSED" or column.has_dictionary_page
                 if packed or column.total_uncompressed_size > file_bytes:
                     raise ValueError(f"the frames of row group {number} are compressed a second time")
@@ -160,6 +179,7 @@ class ShardFile:
             self._file = pq.ParquetFile(path, memory_map=True)
             check_unpacked_size(self._file.metadata, path.stat().st_size)
             check_pages(path, self._file.metadata)
+            self._schema = DOWN_SCHEMA if DOWN in self._file.schema_arrow.names else SCHEMA
             held = (self._file.metadata.metadata or {}).get(FOOTER_KEY.encode(), b"")
             footer = parse_json(held, max_bytes=MAX_TEXT_BYTES)
             self._check_columns()
@@ -176,10 +196,15 @@ class ShardFile:
 
     def _check_columns(self) -> None:
         found = self._file.schema_arrow
-        for column in SCHEMA:
+        for column in self._schema:
             kind = found.field(column.name).type if column.name in found.names else "missing"
             if not (kind == column.type or str(kind) == str(column.type)):
                 raise DataError(f"{self.path}: the column {column.name} is {kind}; it must be {column.type}")
+
+    @property
+    def down_camera(self) -> bool:
+        """Whether its episodes have frames of the camera that looks down."""
+        return DOWN in self._schema.names
 
     def images(self, index: int) -> Any:
         """The encoded frames of an episode as an Arrow binary array, in order of time."""
@@ -218,7 +243,7 @@ class ShardFile:
         number = self._row_groups[index]
         facts = self.facts[number]
         with clear_errors(self.path, f"read at episode {index}"):
-            table = self._file.read_row_group(number, columns=SCHEMA.names, use_threads=False)
+            table = self._file.read_row_group(number, columns=self._schema.names, use_threads=False)
         self._check_order(table, [(index, facts["length"])])
         with clear_errors(self.path, f"read at episode {index}"):
             arrays: dict[str, Any] = {name: _to_numpy(table[name], name) for name in WIDTHS}
@@ -233,6 +258,7 @@ class ShardFile:
                 encoding=facts["encoding"],
                 images=tuple(table["image"].to_pylist()),
                 final_position=np.array(facts["final_position"], np.float64),
+                down=tuple(table[DOWN].to_pylist()) if self.down_camera else (),
                 **arrays,
             )
 

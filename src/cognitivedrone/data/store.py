@@ -111,6 +111,12 @@ class Store:
             self._files[number] = ShardFile(self.path / self.manifest["shards"][number]["file"])
         return self._files[number]
 
+    @property
+    def down_camera(self) -> bool:
+        """Whether the episodes have frames of the camera that looks down, `Episode.down`."""
+        with self._lock:
+            return bool(self.manifest["shards"]) and self._file(0).down_camera
+
     def indices(self, split: Split | None = None) -> list[int]:
         """The indices of the episodes of a split, or of all, in order."""
         return [index for index in self._places if split is None or self.split_of(index) == split]

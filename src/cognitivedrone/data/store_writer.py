@@ -248,6 +248,8 @@ class StoreWriter:
         with clear_errors(self.path, "written"):
             self._remove_strays(total)
         shards = [ShardFile(self.path / receipt.file) for receipt in receipts]
+        if len({shard.down_camera for shard in shards}) > 1:
+            raise DataError(f"{self.path}: only some shards have frames of the camera that looks down; keep them apart")
         flown = flown_in(shards)
         splits = draw_splits(self._suite_digest, {episode.index: episode.family for episode in flown})
         facts = sorted(((fact, shard) for shard in shards for fact in shard.facts), key=lambda pair: pair[0]["index"])

@@ -26,13 +26,14 @@ def summary(path: Path | str) -> RenderableType:
 def _headline(path: Path, seen: Overview) -> RenderableType:
     manifest = seen.manifest
     recipe = manifest["recipe"].get("name", "unnamed")
+    cameras = "two cameras' frames" if seen.down_camera else "frames"
     encodings = ", ".join(f"{name} ({count:,} episodes)" for name, count in seen.encodings.items())
     grid = Table.grid(padding=(0, 2))
     grid.add_row("data set", Text(str(path), style="bold"))
     grid.add_row("made by", f"recipe {recipe}, suite {manifest['suite']['name']}, seed {manifest['seed']}")
     grid.add_row("holds", f"{manifest['episodes']:,} episodes, {manifest['steps']:,} steps, {seen.flown} of flight")
     grid.add_row(
-        "on disk", f"{megabytes(seen.bytes_on_disk)}; {megabytes(seen.frame_bytes)} a step, frames as {encodings}"
+        "on disk", f"{megabytes(seen.bytes_on_disk)}; {megabytes(seen.frame_bytes)} a step, {cameras} as {encodings}"
     )
     return grid
 

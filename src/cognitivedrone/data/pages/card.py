@@ -38,6 +38,8 @@ class Strip:
     episode: Episode
     frames: tuple[str, ...]
     """Base64 JPEG."""
+    down: tuple[str, ...]
+    """The same moments seen by the camera that looks down, if there is one."""
     traces: tuple[drawing.Trace, ...]
 
 
@@ -102,13 +104,16 @@ def _strip(store: Store, family: FamilyCount) -> Strip:
     index = next(facts["index"] for facts in store.facts() if facts["task"]["family"] == family.family)
     episode = store.episode(index)
     steps = _spread_out(list(range(math.ceil(SHOWN_SHARE * len(episode)))), STRIP_FRAMES)
-    frames = tuple(_thumbnail(store, episode, step) for step in steps)
-    return Strip(episode, frames, tuple(drawing.traces(episode, ACTION_NAMES)))
+    frames, down = (
+        tuple(_thumbnail(store, episode, step, images[step]) for step in steps if images)
+        for images in (episode.images, episode.down)
+    )
+    return Strip(episode, frames, down, tuple(drawing.traces(episode, ACTION_NAMES)))
 
 
-def _thumbnail(store: Store, episode: Episode, step: int) -> str:
+def _thumbnail(store: Store, episode: Episode, step: int, data: bytes) -> str:
     try:
-        image = decode_image(episode.images[step])
+        image = decode_image(data)
     except (OSError, ValueError, SyntaxError) as error:  # Pillow reports broken PNG chunks as SyntaxError
         raise DataError(
             f"{store.path}: the frame of episode {episode.index}, step {step}, is broken ({error})"

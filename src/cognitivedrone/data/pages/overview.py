@@ -56,7 +56,9 @@ class Overview:
     """Lengths of the episodes, in seconds."""
     bytes_on_disk: int
     frame_bytes: float
-    """Approximate mean size of an encoded frame: the shards' bytes over their steps."""
+    """Approximate mean size of a step's encoded frames: the shards' bytes over their steps."""
+    down_camera: bool
+    """Whether every step has a frame of the camera that looks down, too."""
     encodings: dict[str, int]
     """Episodes by image encoding."""
     hours: float
@@ -82,6 +84,7 @@ def overview(store: Store) -> Overview:
         lengths=histogram(seconds, "length", "s"),
         bytes_on_disk=sum(file.stat().st_size for file in store.path.rglob("*") if file.is_file()),
         frame_bytes=shard_bytes / max(1, store.n_steps),
+        down_camera=store.down_camera,
         encodings=dict(sorted(Counter(entry["encoding"] for entry in facts).items())),
         hours=store.n_steps / CONTROL_HZ / 3600,
     )
