@@ -104,7 +104,9 @@ def test_resuming_a_finished_set_flies_nothing_and_changes_nothing(flown):
     assert digests(flown.out) == before
 
 
-@pytest.mark.parametrize("changes", [{"seed": 1}, {"episodes": 11}, {"recipe": "paper"}, {"suite": "open-v1:test"}])
+@pytest.mark.parametrize(
+    "changes", [{"seed": 1}, {"episodes": 11}, {"recipe": "paper"}, {"suite": "open-v1:test"}, {"down_camera": True}]
+)
 def test_a_folder_of_another_making_is_refused(flown, changes):
     with pytest.raises(DataError, match="another"):
         collect(config(flown.out, resume=True, **changes), progress=False)

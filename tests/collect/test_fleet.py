@@ -13,8 +13,12 @@ from cognitivedrone.collect.perturbation import disturb, draw_beginning, draw_di
 from cognitivedrone.collect.recipe import RECIPES, find_recipe
 from cognitivedrone.collect.replay import replay
 from cognitivedrone.data.episode import decode_image
+from cognitivedrone.envs.track_runner import TrackConfig
+from cognitivedrone.envs.worlds import Worlds
 from cognitivedrone.errors import DataError, PolicyError
+from cognitivedrone.labels import load_pack
 from cognitivedrone.policies.baselines import Hover
+from cognitivedrone.sim.airframe import AIRFRAMES
 from cognitivedrone.tasks import BASE_FAMILIES, load_suite
 from cognitivedrone.world import places
 
@@ -61,6 +65,47 @@ def test_an_episode_does_not_depend_on_its_company(clean):
 def test_a_disturbed_episode_does_not_depend_on_its_company(disturbed):
     (alone,) = fly(ROBUST, [3], 1)
     assert_same(alone, disturbed[3])
+
+
+def test_the_camera_that_looks_down_records_what_the_simulator_draws_at_every_step():
+    recipe = replace(RECIPES["paper"], look="varied", down_camera=True)
+    (episode,) = fly(recipe, [7], 1)
+    rng = attempt_rng(SUITE.digest, 7, 5, 0)
+    with Worlds(1, load_pack(None), TrackConfig(appearance="varied"), airframe=AIRFRAMES["racer"]) as worlds:
+        start = draw_beginning(rng, recipe, worlds.runners[0].world.hull_radius)
+        rng.uniform(*recipe.speed_m_s)
+        worlds.runners[0].begin(SUITE.tracks[7], rng, start)
+        for image, down, sent in zip(episode.images, episode.down, episode.sent, strict=True):
+            assert np.array_equal(decode_image(image), worlds.simulator.frames()[0])
+            assert np.array_equal(decode_image(down), worlds.simulator.frames(down=True)[0])
+            worlds.command(sent[None])
+            worlds.advance()
+
+
+def test_the_camera_that_looks_down_changes_nothing_else_of_a_flight(disturbed):
+    (episode,) = fly(replace(ROBUST, down_camera=True), [3], 1)
+    assert len(episode.down) == len(episode)
+    assert_same(replace(episode, down=()), disturbed[3])
+
+
+@pytest.mark.parametrize("recorded", [False, True])
+@pytest.mark.parametrize("wanted", [False, True])
+def test_only_a_learner_that_wants_the_camera_that_looks_down_sees_it(recorded, wanted):
+    seen = []
+
+    class Looking(Hover):
+        needs_down_camera = wanted
+
+        def act(self, observation):
+            seen.append(observation.down)
+            return super().act(observation)
+
+    recipe = replace(RECIPES["debug"], kicks_per_s=0.0, time_limit_s=0.5, encoding="png", down_camera=recorded)
+    (episode,) = relabel(Looking, SUITE, recipe, 0, [2], worlds=1)
+    assert len(episode.down) == (len(episode) if recorded else 0)
+    assert all((down is not None) == wanted for down in seen)
+    if recorded and wanted:
+        assert np.array_equal(decode_image(episode.down[0]), seen[0])
 
 
 def test_half_of_the_robust_flights_are_in_places_that_models_are_trained_in(disturbed):

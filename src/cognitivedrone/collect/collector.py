@@ -210,7 +210,8 @@ def _resolve(config: CollectPlan) -> Job:
     if config.policy is not None:
         learner = learner_of(config.policy, config.beta)
         make_policy(config.policy).close()  # fails here, before anything is written
-    recipe = replace(recipe, episodes=recipe.episodes if config.episodes is None else config.episodes)
+    episodes = recipe.episodes if config.episodes is None else config.episodes
+    recipe = replace(recipe, episodes=episodes, down_camera=recipe.down_camera or config.down_camera)
     return Job(config.source, recipe, config.episodes_per_shard, learner)
 
 

@@ -31,6 +31,8 @@ class CollectPlan(Options):
     """Continue with the content of the folder."""
     episodes_per_shard: Count = EPISODES_PER_SHARD
     """Episodes that are flown, stored and resumed as one unit."""
+    down_camera: bool = False
+    """Record the view of a camera under the drone, too, straight down. It costs a second drawing of every step."""
     executor: Literal["local", "ray"] = "local"
     """`local` processes, or the machines of a `ray` cluster."""
     policy: str | None = None

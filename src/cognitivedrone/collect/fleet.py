@@ -66,6 +66,7 @@ class _Flight:
     dropped: Counter[str]
     pending: list[Action] = field(default_factory=list)
     images: list[bytes] = field(default_factory=list)
+    down: list[bytes] = field(default_factory=list)
     action: list[Action] = field(default_factory=list)
     sent: list[Action] = field(default_factory=list)
     proprioception: list[tuple[FloatArray, float, float]] = field(default_factory=list)
@@ -110,6 +111,7 @@ class Fleet:
         config = TrackConfig(appearance=recipe.look, time_limit_s=recipe.time_limit_s)
         self._worlds = Worlds(worlds, load_pack(labels), config, airframe=AIRFRAMES[AIRFRAME])
         self._frames = np.empty((worlds, IMAGE_SIZE, IMAGE_SIZE, 3), dtype=np.uint8)
+        self._looks_down = recipe.down_camera or any(each.needs_down_camera for each in self._learners)
 
     @property
     def renderer(self) -> str:
@@ -173,9 +175,10 @@ class Fleet:
         """One control step of all worlds; yields those that ended, with their outcome."""
         worlds = list(flights)
         frames = self._worlds.simulator.frames(self._frames[: len(worlds)], worlds)
-        for world, frame in zip(worlds, frames, strict=True):
+        downs = self._worlds.simulator.frames(worlds=worlds, down=True) if self._looks_down else [None] * len(worlds)
+        for world, frame, down in zip(worlds, frames, downs, strict=True):
             try:
-                self._decide(world, flights[world], frame)
+                self._decide(world, flights[world], frame, down)
             except NonFiniteAction:
                 self._worlds.runners[world].end("policy_error")
         self._worlds.advance()
@@ -183,7 +186,7 @@ class Fleet:
             if results := self._worlds.runners[world].results:
                 yield world, flights[world], results[0].outcome
 
-    def _decide(self, world: int, flight: _Flight, frame: Image) -> None:
+    def _decide(self, world: int, flight: _Flight, frame: Image, down: Image | None) -> None:
         """Record the current step, and command."""
         simulator = self._worlds.simulator
         state = simulator.state(world)
@@ -192,7 +195,8 @@ class Fleet:
         if flight.learner is not None:
             if not flight.pending:
                 instruction = self._worlds.runners[world].task.instruction
-                seen = Observation(frame, instruction, velocity, height, yaw_rate, simulator.time(world))
+                below = down if flight.learner.needs_down_camera else None
+                seen = Observation(frame, instruction, velocity, height, yaw_rate, simulator.time(world), below)
                 with _naming_place(self._name, flight.index, len(flight.sent)):
                     flight.pending = list(check_chunk(flight.learner.act(seen)))
             learned = clip_action(flight.pending.pop(0))
@@ -201,6 +205,8 @@ class Fleet:
         sent = clip_action(disturb(sent, len(flight.sent), flight.disturbances))
         simulator.command(world, sent)
         flight.images.append(encode_image(frame, self.recipe.encoding, self.recipe.quality))
+        if down is not None and self.recipe.down_camera:
+            flight.down.append(encode_image(down, self.recipe.encoding, self.recipe.quality))
         flight.action.append(action)
         flight.sent.append(sent)
         flight.proprioception.append((velocity, height, yaw_rate))
@@ -218,6 +224,7 @@ class Fleet:
             conditions=Conditions(self.seed, AIRFRAME, look, start.position, start.yaw, start.wind, place),
             encoding=self.recipe.encoding,
             images=tuple(flight.images),
+            down=tuple(flight.down),
             action=np.array(flight.action, dtype=np.float32),
             sent=np.array(flight.sent, dtype=np.float32),
             velocity=np.array(velocity, dtype=np.float32),

@@ -45,11 +45,13 @@ class Recipe:
     quality: int = 95
     """JPEG quality."""
     time_limit_s: float = 30.0
+    down_camera: bool = False
+    """Whether every step has the frame of the camera that looks down, too."""
 
     def facts(self) -> dict[str, Any]:
-        """The recipe as plain JSON values; without `places` if there are none, as in sets of before."""
+        """The recipe as plain JSON values; without `places` and `down_camera` where not set, as in sets of before."""
         facts = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
-        return {name: value for name, value in facts.items() if name != "places" or value}
+        return {name: value for name, value in facts.items() if value or name not in ("places", "down_camera")}
 
 
 # PNG is lossless. For plain frames it is smaller than JPEG of quality 95 (5.9 against 9.8 KB a frame); for varied
