@@ -99,6 +99,37 @@ def test_every_format_there_and_back_flies_the_same_flights(store, tmp_path, for
     assert "the same bits" in ok("data", "replay", tmp_path / "back", 2)
 
 
+@pytest.fixture(scope="module")
+def two_cameras(tmp_path_factory):
+    path = tmp_path_factory.mktemp("data") / "two"
+    ok("collect", "--recipe", "debug", "--episodes", 2, "--workers", 1, "--down-camera", "--out", path)
+    return path
+
+
+def test_a_set_of_two_cameras_is_whole_and_shown(two_cameras, tmp_path):
+    assert "intact" in ok("data", "verify", two_cameras)
+    assert "two cameras' frames as jpeg" in " ".join(ok("data", "show", two_cameras).split())
+    ok("data", "report", two_cameras, "--out", tmp_path / "card.html")
+    assert "the same bits" in ok("data", "replay", two_cameras, 1)
+
+
+@pytest.mark.parametrize("form", ["rlds", "lerobot", "mcap", "published"])
+def test_the_second_camera_travels_or_is_said_to_be_left_out(two_cameras, tmp_path, form):
+    said = ok("data", "export", two_cameras, "--to", form, "--out", tmp_path / form)
+    left_out = form == "published"
+    assert ("frames of the camera that looks down are left out: published has no place for them" in said) == left_out
+    ok("data", "import", tmp_path / form, "--from", form, "--out", tmp_path / "back")
+    before = {episode.task.id: episode.down for episode in Store.open(two_cameras).episodes()}
+    after = {episode.task.id: episode.down for episode in Store.open(tmp_path / "back").episodes()}
+    assert after == (dict.fromkeys(before, ()) if left_out else before)
+
+
+def test_a_run_of_two_cameras_is_not_resumed_with_one(two_cameras, capsys):
+    arguments = ("--recipe", "debug", "--episodes", 2, "--resume", "--out", two_cameras)
+    said = " ".join(refused(capsys, 2, "collect", *arguments)[1].split())
+    assert "holds a data set of another recipe (down_camera: True there, None here)" in said
+
+
 def test_an_altered_shard_is_named(store, tmp_path, capsys):
     copy = tmp_path / "copy"
     shutil.copytree(store, copy)

@@ -11,7 +11,7 @@ import pytest
 from factory import assert_same_episode, make_episode
 
 from cognitivedrone.data.episode import Episode, Split, decode_image
-from cognitivedrone.data.formats import EXPORTS, IMPORTS, export, import_
+from cognitivedrone.data.formats import EXPORTS, FRONT_ONLY, IMPORTS, export, import_
 from cognitivedrone.errors import DataError
 
 
@@ -52,6 +52,28 @@ def test_an_export_comes_back_to_the_bit(tmp_path, to):
             assert np.abs(decode_image(one).astype(int) - decode_image(other)).mean() < 4
         images, encoding = (after.images, after.encoding) if to.endswith("-video") else (before.images, before.encoding)
         assert_same_episode(after, replace(before, images=images, encoding=encoding))
+
+
+@pytest.mark.parametrize("to", EXPORTS)
+def test_frames_of_the_camera_that_looks_down_come_back_where_there_is_a_place_for_them(tmp_path, to):
+    flights: list[tuple[Split, Episode]] = [
+        ("val" if index == 1 else "train", make_episode(index, 2, down=True)) for index in range(3)
+    ]
+    export(flights, to, tmp_path / "set")
+    back = {episode.index: episode for _, episode in import_(tmp_path / "set", reader_of(to))}
+    for _, flight in flights:
+        down = back[flight.index].down
+        assert len(down) == (0 if to in FRONT_ONLY else len(flight))
+        for before, after in zip(flight.down, down, strict=False):
+            assert np.abs(decode_image(before).astype(int) - decode_image(after)).mean() < 4
+
+
+@pytest.mark.parametrize("to", ["rlds", "lerobot", "lerobot-video"])
+def test_flights_with_and_without_a_camera_that_looks_down_are_not_mixed(tmp_path, to):
+    flights: list[tuple[Split, Episode]] = [("train", make_episode(index, 2, down=index < 2)) for index in range(3)]
+    with pytest.raises(DataError, match="episode 2: has no frames of the camera that looks down, unlike those before"):
+        export(flights, to, tmp_path / "set")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("to", EXPORTS)

@@ -107,6 +107,27 @@ def test_statistics_follow_from_the_steps(exported):
     assert "directive" not in stats
 
 
+@pytest.mark.parametrize("to", ["lerobot", "lerobot-video"])
+def test_the_camera_that_looks_down_is_a_second_image_key(tmp_path, to):
+    out = tmp_path / "set"
+    export([("train", make_episode(0, 3, down=True)), ("val", make_episode(1, 3, down=True))], to, out)
+    keys = ["observation.images.front", "observation.images.down"]
+    info = json.loads((out / "meta/info.json").read_text())
+    assert [name for name in info["features"] if "images" in name] == keys
+    assert info["features"][keys[0]] == info["features"][keys[1]]
+    stats = json.loads((out / "meta/stats.json").read_text())
+    assert stats[keys[0]]["count"] == stats[keys[1]]["count"] == [6]
+    schema = pq.read_schema(out / DATA)
+    row = pq.read_table(out / "meta/episodes/chunk-000/file-000.parquet").to_pylist()[1]
+    if to == "lerobot":
+        assert schema.names == list(info["features"])
+        types = json.loads(schema.metadata[b"huggingface"])["info"]["features"]
+        assert types[keys[1]] == {"_type": "Image"}
+    else:
+        assert (out / "videos" / keys[1] / "chunk-000/file-001.mp4").is_file()
+        assert (row[f"videos/{keys[1]}/file_index"], row[f"videos/{keys[1]}/to_timestamp"]) == (1, 0.3)
+
+
 def test_picture_statistics_are_those_of_the_pixels():
     rng = np.random.default_rng(0)
     pixels = rng.integers(3, 200, (3, 10_000))

@@ -40,6 +40,17 @@ def test_topics_types_and_stamps(bag):
         assert stamps["/directive"] == [1_000_000_000]
 
 
+def test_the_camera_that_looks_down_has_topics_of_its_own(tmp_path):
+    export([("train", make_episode(7, 4, down=True))], "mcap", tmp_path / "set")
+    folder = tmp_path / "set" / "episode_000007"
+    with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        for topic in ("image/compressed", "camera_info"):
+            kinds = [reader.topics[f"/{camera}/{topic}"] for camera in ("camera", "down_camera")]
+            assert len({(kind.msgtype, kind.msgcount) for kind in kinds}) == 1
+        found = [reader.deserialize(data, each.msgtype) for each, _, data in reader.messages() if "/down" in each.topic]
+    assert {message.header.frame_id for message in found} == {"down_camera"}
+
+
 def humble(information: dict[str, Any]) -> None:
     """What rosbag2_storage's `metadata_io.cpp` of ROS 2 Humble takes from `rosbag2_bagfile_information`."""
     numbers = information["version"], information["message_count"], information["duration"]["nanoseconds"]

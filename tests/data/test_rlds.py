@@ -67,7 +67,10 @@ def test_the_facts_travel_as_plain_features(exported):
     assert features["steps/reward"].tolist() == [0, 0, 0, 1]
 
 
-def test_every_feature_is_declared(exported):
+@pytest.mark.parametrize("down", [False, True])
+def test_every_feature_is_declared(tmp_path, down):
+    exported = tmp_path / "set"
+    export([("val", make_episode(1, 4, down=down))], "rlds", exported)
     (payload,) = tfrecord.read_records(shard(exported, "val"))
 
     def names(spec, prefix=""):
@@ -81,6 +84,7 @@ def test_every_feature_is_declared(exported):
 
     declared = json.loads((exported / "cognitivedrone/1.0.0/features.json").read_text())
     assert set(names(declared)) == set(tfrecord.decode_example(payload))
+    assert ("steps/observation/image_down" in set(names(declared))) == down
 
 
 @pytest.mark.parametrize(("encoding", "declared"), [("jpeg", "jpeg"), ("png", "png"), ("webp", "png")])

@@ -5,7 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from factory import make_episode
 
+from cognitivedrone.data.episode import Episode, Split
 from cognitivedrone.data.formats import export, rlds
 from cognitivedrone.data.formats.rlds_steps import RldsSteps
 from cognitivedrone.data.store import Store
@@ -52,6 +54,15 @@ def test_steps_in_any_order_are_those_of_the_store(steps, sound_store):
         assert got[name].dtype == wanted[name].dtype
     assert got["instruction"] == wanted["instruction"]
     assert got["directive"] == wanted["directive"]
+
+
+def test_a_second_camera_changes_nothing_of_them(tmp_path):
+    for name, down in (("1", False), ("2", True)):
+        flights: list[tuple[Split, Episode]] = [("train", make_episode(index, 3, down=down)) for index in range(2)]
+        export(flights, "rlds", tmp_path / name)
+    without, steps = (RldsSteps(tmp_path / name).steps([0, 2, 5, 4]) for name in "12")
+    for one, other in zip(without.values(), steps.values(), strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_the_inner_folder_opens_too_and_has_the_same_content(steps, exported):

@@ -88,6 +88,7 @@ def export(folder: tyro.conf.Positional[Path], to: str, out: Path) -> None:
         to: A format, such as rlds, lerobot or mcap (docs/data.md lists all), or your own as module:attribute.
         out: New folder to write.
     """
+    from cognitivedrone.data.formats import FRONT_ONLY
     from cognitivedrone.data.formats import export as export_set
     from cognitivedrone.data.store import Store
     from cognitivedrone.terminal.progress import counted
@@ -95,6 +96,8 @@ def export(folder: tyro.conf.Positional[Path], to: str, out: Path) -> None:
     store = Store.open(folder)
     count = export_set(counted(store.labelled(), "exporting", len(store)), to, out)
     print(visible(f"{out}: {count} episodes as {to}"))  # noqa: T201
+    if to in FRONT_ONLY and store.down_camera:
+        print(f"frames of the camera that looks down are left out: {to} has no place for them")  # noqa: T201
 
 
 def import_(source: tyro.conf.Positional[Path], form: Annotated[str, tyro.conf.arg(name="from")], out: Path) -> None:

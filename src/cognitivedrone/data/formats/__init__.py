@@ -31,6 +31,10 @@ IMPORTS: dict[str, str] = _named("(read)()")
 """Readers by format name: `(path) -> iterator of (split, episode)`. `lerobot` reads images and video."""
 
 
+FRONT_ONLY = frozenset({"published"})
+"""Formats that have no place for the camera that looks down, and leave its frames out."""
+
+
 def export(episodes: Iterable[tuple[Split, Episode]], to: str, out: Path) -> int:
     """Write the episodes in the format `to`, a key of `EXPORTS` or the user's "module:attribute"; returns their number.
 

@@ -5,7 +5,7 @@
         bag.write(POSE, stamp_ns, ros.pose(stamp_ns, position, quaternion))
     ros.read(folder)[POSE]
 
-Frames of reference: `world` (ENU), `heading` (level, yaw only), `camera`.
+Frames of reference: `world` (ENU), `heading` (level, yaw only), `camera`, `down_camera`.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ NUMBER_TYPE: Final = "std_msgs/msg/Float32"
 TEXT_TYPE: Final = "std_msgs/msg/String"
 
 FRAME, CAMERA = "/camera/image/compressed", "/camera/camera_info"
+DOWN_FRAME, DOWN_CAMERA = "/down_camera/image/compressed", "/down_camera/camera_info"
 POSE, VELOCITY, HEIGHT, COMMAND = "/pose", "/velocity", "/height", "/command"
 INSTRUCTION, DIRECTIVE = "/instruction", "/directive"
 FLIGHT_TOPICS: Final[Mapping[str, str]] = {
@@ -43,6 +44,8 @@ FLIGHT_TOPICS: Final[Mapping[str, str]] = {
     DIRECTIVE: TEXT_TYPE,
 }
 """The topics of every flight bag, with their types."""
+DOWN_TOPICS: Final[Mapping[str, str]] = {DOWN_FRAME: IMAGE_TYPE, DOWN_CAMERA: CAMERA_TYPE}
+"""Those of a camera that looks down."""
 _VERSION = 8
 """Of rosbag2's metadata: the newest whose quality of service is a text, here an empty one. In 9 it is a list, at which
 Humble's and Iron's readers stop; Jazzy's and Rolling's read both."""
@@ -97,22 +100,22 @@ class Ros:
         """A Float32."""
         return self._make[NUMBER_TYPE](data=float(number))
 
-    def frame(self, stamp_ns: int, coded: bytes, encoding: Encoding) -> Any:
+    def frame(self, stamp_ns: int, coded: bytes, encoding: Encoding, camera: str = "camera") -> Any:
         """A CompressedImage of an encoded frame; WebP, for which ROS has no name, becomes PNG."""
         if encoding == "webp":
             coded, encoding = encode_image(decode_image(coded), "png"), "png"
-        header = self._header(stamp_ns, "camera")
+        header = self._header(stamp_ns, camera)
         return self._make[IMAGE_TYPE](header=header, format=encoding, data=np.frombuffer(coded, np.uint8))
 
-    def camera(self, stamp_ns: int) -> Any:
-        """The CameraInfo of the first-person view: a pinhole without distortion."""
+    def camera(self, stamp_ns: int, camera: str = "camera") -> Any:
+        """The CameraInfo of the first-person view, or of the other camera: a pinhole without distortion."""
         middle = IMAGE_SIZE / 2
         k = np.array([FOCAL_PX, 0, middle, 0, FOCAL_PX, middle, 0, 0, 1])
         region = self._make["sensor_msgs/msg/RegionOfInterest"](
             x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
         )
         return self._make[CAMERA_TYPE](
-            header=self._header(stamp_ns, "camera"),
+            header=self._header(stamp_ns, camera),
             height=IMAGE_SIZE,
             width=IMAGE_SIZE,
             distortion_model="plumb_bob",

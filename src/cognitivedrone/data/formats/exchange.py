@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, cast
@@ -14,7 +14,7 @@ from PIL import Image as PillowImage
 
 from cognitivedrone.data.episode import Conditions, Encoding, Episode, Split
 from cognitivedrone.data.pages import check_pages
-from cognitivedrone.data.shards import unpacked_bytes
+from cognitivedrone.data.shards import check_cameras, unpacked_bytes
 from cognitivedrone.errors import DataError, TaskError
 from cognitivedrone.files import check_regular, create, read_regular, reason_of, remove, replacing_folder
 from cognitivedrone.files.locks import LOCK_FILE, holds_files, sole_writer
@@ -65,6 +65,15 @@ def _filled(out: Path) -> Iterator[Path]:
         raise DataError(f"{out}: cannot be written, a text of the data has no UTF-8 ({error.reason})") from None
 
 
+def same_cameras(episodes: Iterable[tuple[Split, Episode]]) -> Iterator[tuple[Split, Episode]]:
+    """The same episodes; raises `DataError` where one has another number of cameras than the first."""
+    down: bool | None = None
+    for split, episode in episodes:
+        down = bool(episode.down) if down is None else down
+        check_cameras(episode, down=down)
+        yield split, episode
+
+
 def record_of(split: Split, episode: Episode) -> dict[str, Any]:
     """Plain JSON facts of an episode beyond its steps; `episode_from` reads them back exactly."""
     return {
@@ -95,9 +104,16 @@ def plain_facts(episode: Episode) -> dict[str, str | int]:
 
 
 def episode_from(
-    record: object, images: tuple[bytes, ...], arrays: Mapping[str, NDArray[Any]], where: str
+    record: object,
+    images: tuple[bytes, ...],
+    arrays: Mapping[str, NDArray[Any]],
+    where: str,
+    down: tuple[bytes, ...] = (),
 ) -> tuple[Split, Episode]:
-    """The episode of facts, frames and step arrays (T, ...); `DataError` names the place of a mismatch."""
+    """The episode of facts, frames and step arrays (T, ...); `DataError` names the place of a mismatch.
+
+    `down` has the frames of the camera that looks down, if there are any.
+    """
     try:
         facts = cast(dict[str, Any], record)
         conditions = dict(facts["conditions"])
@@ -107,14 +123,19 @@ def episode_from(
             name: np.ascontiguousarray(arrays[name], dtype).reshape(len(images), *shape)
             for name, (dtype, shape) in STEP_ARRAYS.items()
         }
+        encoding = encoding_of(images, where)
+        below = f"{where}, camera that looks down"
+        if down and (len(down), encoding_of(down, below)) != (len(images), encoding):
+            raise DataError(f"{below}: its frames differ from the others in number or encoding; export them again")
         episode = Episode(
             index=int(facts["index"]),
             suite=str(facts["suite"]),
             task=task_from_json(facts["task"], where=where),
             conditions=Conditions(**conditions),
-            encoding=encoding_of(images, where),
+            encoding=encoding,
             images=images,
             final_position=np.array(facts["final_position"], np.float64).reshape(3),
+            down=down,
             **cast(dict[str, Any], shaped),
         )
     except TaskError as error:

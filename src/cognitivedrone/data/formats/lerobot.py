@@ -6,7 +6,8 @@
 (https://huggingface.co/docs/lerobot/lerobot-dataset-v3). Frames are stored in the parquet files as encoded, or
 optionally in H.264 videos. Directive, category, family, right gate and seed are columns; `sent`, `position` and
 `quaternion` are too, and each episode's row in `meta/episodes` has a `record` with the rest, so the import is
-exact (with video, exact except for the pictures). Split `val` comes after `train`, so that info.json can name both as
+exact (with video, exact except for the pictures). Flights with a camera that looks down have a second image key,
+`observation.images.down`. Split `val` comes after `train`, so that info.json can name both as
 ranges, and in files of its own, so that the card can name those.
 
 As a plain data set of Hugging Face's `datasets`, a data file has the types of its columns in the metadata of its
@@ -37,13 +38,16 @@ from cognitivedrone.data.formats.exchange import (
     plain_facts,
     read_json,
     record_of,
+    same_cameras,
     write_json,
 )
 from cognitivedrone.data.formats.lerobot_columns import (
+    DOWN_KEY,
     FLOATS,
     IMAGE_KEY,
     INTEGERS,
     TEXTS,
+    cameras_of,
     card,
     feature_spec,
     schema_of,
@@ -77,7 +81,7 @@ _OLDER = (
     "convert it first with LeRobot's lerobot.datasets.v30.convert_dataset_v21_to_v30; if it is not an export of this"
     f" package, {_OWN}"
 )
-_STEP = {IMAGE_KEY, *FLOATS, "frame_index", "episode_index"}
+_STEP = {IMAGE_KEY, DOWN_KEY, *FLOATS, "frame_index", "episode_index"}
 _ROW = {"record", "episode_index", "length", "data/chunk_index", "data/file_index"}
 """Columns that are read."""
 
@@ -100,7 +104,7 @@ def _export(episodes: Iterable[tuple[Split, Episode]], out: Path, *, video: bool
     with new_folder(out) as partial:
         writer = _Writer(partial, video=video)
         try:
-            for split, episode in _val_last(episodes, partial / "val.part"):
+            for split, episode in _val_last(same_cameras(episodes), partial / "val.part"):
                 writer.write(split, episode)
         finally:
             writer.close()
@@ -133,23 +137,25 @@ class _Writer:
     def __init__(self, folder: Path, *, video: bool) -> None:
         self._folder = folder
         self._is_video = video
-        self.schema_of = schema_of(video=video)
-        self._statistics = Statistics(IMAGE_KEY)
+        self._cameras: tuple[str, ...] = ()
+        self._statistics = Statistics()
         self._tasks: dict[str, int] = {}
         self._frames = 0
         self._file_number = -1
         self._file_bytes = 0
         self._parquet: pq.ParquetWriter | None = None
-        self._video: VideoWriter | None = None
+        self._videos: dict[str, VideoWriter] = {}
         self._files: dict[Split, list[str]] = {}
         self.rows: list[dict[str, Any]] = []
 
     def write(self, split: Split, episode: Episode) -> None:
+        cameras = cameras_of(episode)
+        self._cameras = tuple(cameras)
         parquet = self._file(split)
         number, first = len(self.rows), self._frames
         task_index = self._tasks.setdefault(episode.task.instruction, len(self._tasks))
         columns = _columns(episode, number, first, task_index)
-        stats = self._statistics.add({n: v for n, v in columns.items() if n not in TEXTS}, episode.images)
+        stats = self._statistics.add({n: v for n, v in columns.items() if n not in TEXTS}, cameras)
         place = {"chunk_index": self._file_number // CHUNK_SIZE, "file_index": self._file_number % CHUNK_SIZE}
         row: dict[str, Any] = {
             "episode_index": number,
@@ -160,16 +166,16 @@ class _Writer:
             "meta/episodes/chunk_index": 0,
             "meta/episodes/file_index": 0,
         } | {f"data/{name}": value for name, value in place.items()}
-        if self._video is not None:
-            start = self._video.frames / CONTROL_HZ
-            row |= {f"videos/{IMAGE_KEY}/{name}": value for name, value in place.items()}
-            row[f"videos/{IMAGE_KEY}/from_timestamp"] = start
-            row[f"videos/{IMAGE_KEY}/to_timestamp"] = start + len(episode) / CONTROL_HZ
-            self._video.add(episode.images)
+        for key, video in self._videos.items():
+            start = video.frames / CONTROL_HZ
+            row |= {f"videos/{key}/{name}": value for name, value in place.items()}
+            row[f"videos/{key}/from_timestamp"] = start
+            row[f"videos/{key}/to_timestamp"] = start + len(episode) / CONTROL_HZ
+            video.add(cameras[key])
         row |= plain_facts(episode) | {"record": json.dumps(record_of(split, episode), ensure_ascii=False)}
         row |= {f"stats/{name}/{what}": v for name, values in stats.items() for what, v in values.items()}
-        parquet.write_table(_table(columns, episode, self.schema_of))
-        self._file_bytes += sum(map(len, episode.images))
+        parquet.write_table(_table(columns, cameras, parquet.schema))
+        self._file_bytes += sum(len(image) for images in cameras.values() for image in images)
         self._frames += len(episode)
         self.rows.append(row | {"split": split})
 
@@ -178,9 +184,8 @@ class _Writer:
         if self._parquet is not None:
             self._parquet.close()
             self._parquet = None
-        if self._video is not None:
-            self._video.close()
-            self._video = None
+        while self._videos:
+            self._videos.popitem()[1].close()
 
     def write_meta(self) -> None:
         """Write the folder `meta`, after all episodes."""
@@ -202,9 +207,10 @@ class _Writer:
         path = self._folder / DATA_PATH.format(**place)
         path.parent.mkdir(parents=True, exist_ok=True)
         self._files.setdefault(split, []).append(DATA_PATH.format(**place))
-        self._parquet = pq.ParquetWriter(path, self.schema_of, use_dictionary=list(TEXTS))
-        if self._is_video:
-            self._video = VideoWriter(self._folder / VIDEO_PATH.format(video_key=IMAGE_KEY, **place))
+        schema = schema_of(self._cameras, video=self._is_video)
+        self._parquet = pq.ParquetWriter(path, schema, use_dictionary=list(TEXTS))
+        for key in self._cameras if self._is_video else ():
+            self._videos[key] = VideoWriter(self._folder / VIDEO_PATH.format(video_key=key, **place))
         return self._parquet
 
     def _info(self) -> dict[str, Any]:
@@ -223,7 +229,7 @@ class _Writer:
             "splits": {name: f"{start}:{stop}" for name, (start, stop) in ranges.items() if stop > start},
             "data_path": DATA_PATH,
             "video_path": VIDEO_PATH if self._is_video else None,
-            "features": feature_spec(video=self._is_video),
+            "features": feature_spec(self._cameras, video=self._is_video),
         }
 
 
@@ -241,11 +247,11 @@ def _columns(episode: Episode, number: int, first: int, task_index: int) -> dict
     }
 
 
-def _table(columns: dict[str, NDArray[Any]], episode: Episode, schema: pa.Schema) -> pa.Table:
+def _table(columns: dict[str, NDArray[Any]], cameras: dict[str, tuple[bytes, ...]], schema: pa.Schema) -> pa.Table:
     arrays = []
     for field in schema:
-        if field.name == IMAGE_KEY:
-            arrays.append(pa.array([{"bytes": image, "path": None} for image in episode.images], field.type))
+        if field.name in cameras:
+            arrays.append(pa.array([{"bytes": image, "path": None} for image in cameras[field.name]], field.type))
         elif field.name in FLOATS:
             values = np.ascontiguousarray(columns[field.name])
             arrays.append(pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1]))
@@ -296,8 +302,9 @@ def read(path: Path) -> Iterator[tuple[Split, Episode]]:
         raise DataError(
             f"{info_path}: layout {version} cannot be read, only v3; {_OLDER if version[:2] in _OLD else _OWN}"
         )
-    features = info.get("features")
-    image = features.get(IMAGE_KEY) if isinstance(features, dict) else None
+    features = info["features"] if isinstance(info.get("features"), dict) else {}
+    cameras = [IMAGE_KEY, *({DOWN_KEY} & features.keys())]
+    image = features.get(IMAGE_KEY)
     is_video = isinstance(image, dict) and image.get("dtype") == "video"
     rows = _read_table(path / EPISODES_PATH, _ROW).to_pylist()
     if rows and "record" not in rows[0]:
@@ -309,10 +316,10 @@ def read(path: Path) -> Iterator[tuple[Split, Episode]]:
     for row in rows:
         place = _place_of(row, path / EPISODES_PATH)
         data_path = path / DATA_PATH.format(**place)
-        video_path = path / VIDEO_PATH.format(video_key=IMAGE_KEY, **place)
         if data_path != opened:
             table, opened = _read_table(data_path, _STEP), data_path
-            frames = read_frames(video_path) if is_video else None
+            videos = [path / VIDEO_PATH.format(video_key=key, **place) for key in cameras if is_video]
+            frames = [read_frames(video) for video in videos]
         try:
             number, length, record = row["episode_index"], row["length"], parse_json(row["record"])
             steps = table.filter(pc.equal(table["episode_index"], number)).sort_by("frame_index")
@@ -322,18 +329,18 @@ def read(path: Path) -> Iterator[tuple[Split, Episode]]:
         where = f"{data_path}, episode {number}"
         if len(steps) != length:
             raise DataError(f"{where}: holds {len(steps)} of {length} steps; copy or export it again")
-        if frames is None:
-            images = _images(steps, where)
-        else:
-            images = tuple(encode_image(frame, "jpeg") for frame in islice(frames, len(steps)))
-            if len(images) != len(steps):
-                raise DataError(f"{video_path}: ends within episode {number}; copy or export it again")
-        yield episode_from(record, images, arrays, where)
+        seen = [] if is_video else [_images(steps, key, where) for key in cameras]
+        for video, coming in zip(videos, frames, strict=True):
+            seen.append(tuple(encode_image(frame, "jpeg") for frame in islice(coming, len(steps))))
+            if len(seen[-1]) != len(steps):
+                raise DataError(f"{video}: ends within episode {number}; copy or export it again")
+        images, *down = seen
+        yield episode_from(record, images, arrays, where, *down)
 
 
-def _images(steps: pa.Table, where: str) -> tuple[bytes, ...]:
-    """The encoded frames of an episode; raises `DataError` if they are not in the file."""
-    column = steps[IMAGE_KEY].to_pylist() if IMAGE_KEY in steps.column_names else [None] * len(steps)
+def _images(steps: pa.Table, key: str, where: str) -> tuple[bytes, ...]:
+    """The encoded frames of a camera in an episode; raises `DataError` if they are not in the file."""
+    column = steps[key].to_pylist() if key in steps.column_names else [None] * len(steps)
     images = [entry.get("bytes") if isinstance(entry, dict) else None for entry in column]
     if not all(isinstance(image, bytes) for image in images):
         raise DataError(f"{where}: lacks the bytes of its frames; export it again")

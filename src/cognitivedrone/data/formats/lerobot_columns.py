@@ -8,11 +8,13 @@ from typing import Any
 
 import pyarrow as pa
 
-from cognitivedrone.data.episode import Split
+from cognitivedrone.data.episode import Episode, Split
 from cognitivedrone.data.formats.lerobot_video import PIXELS
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE
 
 IMAGE_KEY = "observation.images.front"
+DOWN_KEY = "observation.images.down"
+"""Of the camera that looks down, only in exports of flights that have it."""
 MOTION = ["vx", "vy", "vz", "yaw_rate"]
 FLOATS: dict[str, tuple[str, list[str]]] = {
     "observation.state": ("float32", ["vx", "vy", "vz", "height", "yaw_rate"]),
@@ -31,7 +33,12 @@ _CARD_TEXT = (
 )
 
 
-def feature_spec(*, video: bool) -> dict[str, Any]:
+def cameras_of(episode: Episode) -> dict[str, tuple[bytes, ...]]:
+    """The T encoded frames of each camera by its key."""
+    return {IMAGE_KEY: episode.images} | ({DOWN_KEY: episode.down} if episode.down else {})
+
+
+def feature_spec(cameras: Sequence[str] = (IMAGE_KEY,), *, video: bool) -> dict[str, Any]:
     """`features` of info.json."""
     image: dict[str, Any] = {
         "dtype": "video" if video else "image",
@@ -49,16 +56,17 @@ def feature_spec(*, video: bool) -> dict[str, Any]:
             "video.channels": 3,
             "has_audio": False,
         }
-    features = {IMAGE_KEY: image}
+    features = dict.fromkeys(cameras, image)
     for name, (dtype, names) in FLOATS.items():
         features[name] = {"dtype": dtype, "shape": [len(names)], "names": names}
     scalars = {"timestamp": "float32"} | dict.fromkeys(INTEGERS, "int64") | dict.fromkeys(TEXTS, "string")
     return features | {name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in scalars.items()}
 
 
-def schema_of(*, video: bool) -> pa.Schema:
+def schema_of(cameras: Sequence[str] = (IMAGE_KEY,), *, video: bool) -> pa.Schema:
     """Schema of the data files: columns in the order of `feature_spec`, none for the frames of a video."""
-    fields = [] if video else [pa.field(IMAGE_KEY, pa.struct({"bytes": pa.binary(), "path": pa.string()}))]
+    frame = pa.struct({"bytes": pa.binary(), "path": pa.string()})
+    fields = [] if video else [pa.field(key, frame) for key in cameras]
     for name, (dtype, names) in FLOATS.items():
         fields.append(pa.field(name, pa.list_(pa.type_for_alias(dtype), len(names))))
     fields.append(pa.field("timestamp", pa.float32()))
@@ -70,7 +78,7 @@ def schema_of(*, video: bool) -> pa.Schema:
 
 def _plain_type(field: pa.Field) -> dict[str, Any]:
     """A column's type as the library `datasets` writes it. "Sequence" is read by all its versions, "List" from 4 on."""
-    if field.name == IMAGE_KEY:
+    if field.name in (IMAGE_KEY, DOWN_KEY):
         return {"_type": "Image"}
     if field.name in FLOATS:
         dtype, names = FLOATS[field.name]

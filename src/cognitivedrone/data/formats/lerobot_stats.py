@@ -24,27 +24,29 @@ PIXEL_STRIDE = 4
 class Statistics:
     """Accumulates episodes; `total` covers all of them."""
 
-    def __init__(self, image_key: str) -> None:
-        self._image_key = image_key
+    def __init__(self) -> None:
         self._columns: dict[str, list[NDArray[Any]]] = {}
-        self._histogram = np.zeros((3, 256), np.int64)
+        self._histograms: dict[str, NDArray[np.int64]] = {}
         self._frames = 0
 
-    def add(self, numbers: Mapping[str, NDArray[Any]], images: tuple[bytes, ...]) -> dict[str, Stats]:
-        """Add the step arrays (T, ...) and frames of an episode; returns the statistics of this one alone."""
+    def add(self, numbers: Mapping[str, NDArray[Any]], cameras: Mapping[str, tuple[bytes, ...]]) -> dict[str, Stats]:
+        """Add the step arrays (T, ...) and each camera's T frames of an episode; returns its own statistics."""
         for name, values in numbers.items():
             self._columns.setdefault(name, []).append(values)
-        sampled = [images[i] for i in np.unique(np.linspace(0, len(images) - 1, FRAMES_AN_EPISODE).astype(int))]
-        histogram = sum((_histogram(image) for image in sampled), np.zeros((3, 256), np.int64))
-        self._histogram += histogram
-        self._frames += len(sampled)
         stats = {name: number_stats(values) for name, values in numbers.items()}
-        return stats | {self._image_key: image_stats(histogram, len(sampled))}
+        length = len(next(iter(cameras.values())))
+        sampled = np.unique(np.linspace(0, length - 1, FRAMES_AN_EPISODE).astype(int)).tolist()
+        self._frames += len(sampled)
+        for key, images in cameras.items():
+            histogram = sum((_histogram(images[step]) for step in sampled), np.zeros((3, 256), np.int64))
+            self._histograms[key] = self._histograms.get(key, 0) + histogram
+            stats[key] = image_stats(histogram, len(sampled))
+        return stats
 
     def total(self) -> dict[str, Stats]:
         """Statistics of all added episodes."""
         stats = {name: number_stats(np.concatenate(parts)) for name, parts in self._columns.items()}
-        return stats | {self._image_key: image_stats(self._histogram, self._frames)}
+        return stats | {key: image_stats(histogram, self._frames) for key, histogram in self._histograms.items()}
 
 
 def number_stats(values: NDArray[Any]) -> Stats:

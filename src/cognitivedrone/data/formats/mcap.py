@@ -7,6 +7,7 @@
 |---|---|---|
 | /camera/image/compressed | sensor_msgs/CompressedImage | first-person frame, PNG or JPEG |
 | /camera/camera_info | sensor_msgs/CameraInfo | pinhole |
+| /down_camera/image/compressed, /down_camera/camera_info | the same | of the camera that looks down, if there is one |
 | /pose | geometry_msgs/PoseStamped | ground-truth pose in `world` (ENU, body FLU) |
 | /velocity | geometry_msgs/TwistStamped | measured, heading frame, m/s; yaw rate, rad/s |
 | /height | std_msgs/Float32 | above ground, m |
@@ -30,6 +31,9 @@ from cognitivedrone.data.formats.bags import (
     CAMERA,
     COMMAND,
     DIRECTIVE,
+    DOWN_CAMERA,
+    DOWN_FRAME,
+    DOWN_TOPICS,
     FLIGHT_TOPICS,
     FRAME,
     HEIGHT,
@@ -60,7 +64,8 @@ def export(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
     count = 0
     with new_folder(out) as partial:
         for split, episode in episodes:
-            with ros.create(partial / f"episode_{episode.index:06d}", _TOPICS) as bag:
+            topics = {**_TOPICS, **(DOWN_TOPICS if episode.down else {})}
+            with ros.create(partial / f"episode_{episode.index:06d}", topics) as bag:
                 for topic, stamp, message in _messages(ros, split, episode):
                     bag.write(topic, stamp, message)
             count += 1
@@ -104,7 +109,8 @@ def _read_one(ros: Ros, folder: Path) -> tuple[Split, Episode]:
         "quaternion": np.array([(p.orientation.w, p.orientation.x, p.orientation.y, p.orientation.z) for p in places]),
     }
     images = tuple(bytes(message.data) for message in frames)
-    return episode_from(record, images, arrays, str(folder))
+    down = tuple(bytes(message.data) for message in found.get(DOWN_FRAME, ()))
+    return episode_from(record, images, arrays, str(folder), down)
 
 
 def _messages(ros: Ros, split: Split, episode: Episode) -> Iterator[tuple[str, int, Any]]:
@@ -120,6 +126,9 @@ def _messages(ros: Ros, split: Split, episode: Episode) -> Iterator[tuple[str, i
         stamp = _START_NS + step * _STEP_NS
         yield FRAME, stamp, ros.frame(stamp, image, episode.encoding)
         yield CAMERA, stamp, ros.camera(stamp)
+        if episode.down:
+            yield DOWN_FRAME, stamp, ros.frame(stamp, episode.down[step], episode.encoding, "down_camera")
+            yield DOWN_CAMERA, stamp, ros.camera(stamp, "down_camera")
         yield POSE, stamp, ros.pose(stamp, episode.position[step], episode.quaternion[step])
         measured = np.append(episode.velocity[step], episode.yaw_rate[step])
         yield VELOCITY, stamp, ros.twist(stamp, measured)

@@ -12,7 +12,7 @@ position, yaw the heading and s = min(t + 3, last):
 
 `setup.json` is the task in the published layout. Our own exports add the key `flight` with everything else, so that
 they are read back exactly (including pictures, if they were JPEG). For third-party flights, velocities are rebuilt by
-differences.
+differences. The layout has no place for frames of a camera that looks down: they are left out.
 """
 
 from __future__ import annotations

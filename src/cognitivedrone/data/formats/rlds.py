@@ -28,6 +28,7 @@ from cognitivedrone.data.formats.exchange import (
     plain_facts,
     read_json,
     record_of,
+    same_cameras,
     write_json,
 )
 from cognitivedrone.data.formats.tfrecord import (
@@ -45,6 +46,8 @@ from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.types import IMAGE_SIZE
 
 NAME = "cognitivedrone"
+DOWN = "image_down"
+"""Feature of an observation with the frame of the camera that looks down, only in exports of flights that have it."""
 VERSION = "1.0.0"
 INFO = "dataset_info.json"
 SHARD_BYTES = 256 * 2**20
@@ -64,17 +67,18 @@ def export(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
         folder.mkdir(parents=True)
         splits: tuple[Split, ...] = ("train", "val")
         writers = {split: _SplitWriter(folder, split) for split in splits}
-        only_jpeg = True
+        only_jpeg, down = True, False
         with ExitStack() as closing:  # all of them, even if the disk is full and closing one fails
             for writer in writers.values():
                 closing.callback(writer.close)
-            for split, episode in episodes:
+            for split, episode in same_cameras(episodes):
                 writers[split].write(encode_example(_features_of(split, episode)))
                 only_jpeg &= episode.encoding == "jpeg"
+                down = bool(episode.down)
         count = sum(sum(writer.lengths) for writer in writers.values())
         if not count:
             raise DataError(f"{out}: there is no episode to export")
-        write_json(folder / "features.json", feature_spec("jpeg" if only_jpeg else "png"))
+        write_json(folder / "features.json", feature_spec("jpeg" if only_jpeg else "png", down=down))
         described = [writer.describe() for writer in writers.values() if writer.lengths]
         write_json(folder / INFO, _info(described))
     return count
@@ -196,11 +200,14 @@ def _features_of(split: Split, episode: Episode) -> dict[str, Feature]:
     length = len(episode)
     last = np.zeros(length, np.int64)
     last[-1] = 1
-    images: tuple[bytes, ...] = episode.images
+    cameras = {"image": episode.images} | ({DOWN: episode.down} if episode.down else {})
     if episode.encoding == "webp":
-        images = tuple(encode_image(decode_image(image), "png") for image in images)
+        cameras = {
+            name: tuple(encode_image(decode_image(image), "png") for image in images)
+            for name, images in cameras.items()
+        }
     features: dict[str, Feature] = {
-        "steps/observation/image": images,
+        **{f"steps/observation/{name}": images for name, images in cameras.items()},
         "steps/observation/state": episode.state.ravel(),
         "steps/action": episode.action.ravel(),
         "steps/language_instruction": [episode.task.instruction.encode()] * length,
@@ -225,6 +232,7 @@ def _episode_of(payload: bytes, where: str) -> tuple[Split, Episode]:
         features: dict[str, Any] = decode_example(payload)
         (record,) = features["episode_metadata/record"]
         images = tuple(features["steps/observation/image"])
+        down = tuple(features.get(f"steps/observation/{DOWN}", ()))
         state = features["steps/observation/state"].reshape(len(images), 5)
         doubles = {name: b"".join(features[f"steps/recorded/{name}"]) for name in ("position", "quaternion")}
         arrays = {name: np.frombuffer(data, "<f8") for name, data in doubles.items()} | {
@@ -237,25 +245,18 @@ def _episode_of(payload: bytes, where: str) -> tuple[Split, Episode]:
         facts = parse_json(record)
     except (KeyError, ValueError, TypeError, AttributeError, IndexError) as error:
         raise DataError(f"{where}: not an episode that this package exported ({brief(error)})") from None
-    return episode_from(facts, images, arrays, where)
+    return episode_from(facts, images, arrays, where, down)
 
 
-def feature_spec(image_format: str) -> dict[str, Any]:
-    """features.json, as TFDS writes it for the same features."""
+def feature_spec(image_format: str, *, down: bool = False) -> dict[str, Any]:
+    """features.json, as TFDS writes it for the same features; with `down`, of two cameras."""
+    image = {
+        "pythonClassName": _PREFIX + "image_feature.Image",
+        "image": {"dtype": "uint8", "encodingFormat": image_format, "shape": _shape(IMAGE_SIZE, IMAGE_SIZE, 3)},
+    }
+    cameras = {"image": image} | ({DOWN: image} if down else {})
     steps = {
-        "observation": _dict(
-            {
-                "image": {
-                    "pythonClassName": _PREFIX + "image_feature.Image",
-                    "image": {
-                        "dtype": "uint8",
-                        "encodingFormat": image_format,
-                        "shape": _shape(IMAGE_SIZE, IMAGE_SIZE, 3),
-                    },
-                },
-                "state": _tensor("float32", 5),
-            }
-        ),
+        "observation": _dict({**cameras, "state": _tensor("float32", 5)}),
         "action": _tensor("float32", 4),
         "language_instruction": _text(),
         "is_first": _scalar("bool"),
