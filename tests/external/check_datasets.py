@@ -23,6 +23,8 @@ import datasets
 from datasets import Features, Image, Value, load_dataset
 
 KEY = "observation.images.front"
+DOWN_KEY = "observation.images.down"
+"""Only in exports of flights with a camera that looks down."""
 
 
 def main(root: Path) -> None:
@@ -37,8 +39,9 @@ def main(root: Path) -> None:
             assert set(steps["episode_index"]) == set(range(first, stop)), split
             assert steps.features == files.features
             assert list(steps.features) == list(info["features"])
-            assert isinstance(steps.features[KEY], Image)
-            assert steps[0][KEY].size == (256, 256)
+            for key in {KEY, DOWN_KEY} & steps.features.keys():
+                assert isinstance(steps.features[key], Image)
+                assert steps[0][key].size == (256, 256)
             assert len(steps[0]["action"]) == 4
         # As LeRobot reads the files: with features of its own making.
         wanted = Features({**files.features, "timestamp": Value("float32")})

@@ -28,6 +28,8 @@ import torch
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 KEY = "observation.images.front"
+DOWN_KEY = "observation.images.down"
+"""Only in exports of flights with a camera that looks down."""
 
 
 def check_item(item: dict, record: dict) -> None:
@@ -38,9 +40,11 @@ def check_item(item: dict, record: dict) -> None:
     assert item["family"] == task["family"]
     assert item["correct_gate"] == task["correct"]
     assert item["seed"] == record["conditions"]["seed"]
-    assert item[KEY].shape == (3, 256, 256)
-    assert item[KEY].dtype == torch.float32
-    assert 0 <= item[KEY].min() < item[KEY].max() <= 1
+    for key in {KEY, DOWN_KEY} & item.keys():
+        assert item[key].shape == (3, 256, 256)
+        assert item[key].dtype == torch.float32
+        assert 0 <= item[key].min() <= item[key].max() <= 1
+    assert item[KEY].min() < item[KEY].max()
     assert item["action"].shape == (4,)
     assert item["action"].dtype == torch.float32
     assert item["observation.state"].shape == (5,)
@@ -57,7 +61,8 @@ def main(root: Path) -> None:
         assert (stats["min"] <= stats["q01"]).all(), name
         assert (stats["q01"] <= stats["q99"]).all(), name
         assert (stats["q99"] <= stats["max"]).all(), name
-    assert data.meta.stats[KEY]["mean"].shape == (3, 1, 1)
+    for key in {KEY, DOWN_KEY} & data.meta.stats.keys():
+        assert data.meta.stats[key]["mean"].shape == (3, 1, 1)
     actions = torch.tensor(np.array(data.hf_dataset.with_format("numpy")["action"]))
     assert np.allclose(actions.double().mean(0), data.meta.stats["action"]["mean"], atol=1e-5)
 

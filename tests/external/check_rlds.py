@@ -48,8 +48,10 @@ def check_episode(episode: dict) -> int:
     steps = list(episode["steps"].as_numpy_iterator())
     for number, step in enumerate(steps):
         last = number == len(steps) - 1
-        assert step["observation"]["image"].shape == (256, 256, 3)
-        assert step["observation"]["image"].dtype == np.uint8
+        cameras = {"image", "image_down"} & step["observation"].keys()
+        for name in cameras:
+            assert step["observation"][name].shape == (256, 256, 3)
+            assert step["observation"][name].dtype == np.uint8
         assert step["observation"]["image"].std() > 0
         assert step["observation"]["state"].shape == (5,)
         assert step["action"].shape == (4,)
