@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import importlib.util
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from cognitivedrone.data.formats.lerobot_columns import IMAGE_KEY, feature_spec
+from cognitivedrone.data.formats.lerobot_columns import DOWN_KEY, IMAGE_KEY, feature_spec
 from cognitivedrone.errors import MissingExtra, ModelError, PolicyError
-from cognitivedrone.policies import make_policy, model_file
+from cognitivedrone.policies import lerobot, make_policy, model_file
 from cognitivedrone.policies.lerobot import FILES, SHAPES, WEIGHTS, check_features
-from cognitivedrone.policies.lerobot import IMAGE_KEY as POLICY_IMAGE_KEY
 from cognitivedrone.types import EpisodeContext, Observation
 
 CONFIG: dict[str, Any] = {
@@ -36,7 +36,7 @@ def folder_of(path, config):
 
 def test_its_features_are_those_of_our_export():
     exported = feature_spec(video=False)
-    assert POLICY_IMAGE_KEY == IMAGE_KEY
+    assert (lerobot.IMAGE_KEY, lerobot.DOWN_KEY) == (IMAGE_KEY, DOWN_KEY)
     assert {key: list(shape) for key, shape in SHAPES.items()} == {key: exported[key]["shape"] for key in SHAPES}
 
 
@@ -163,6 +163,20 @@ def test_it_answers_what_lerobots_own_pipeline_answers(checkpoint):
     ours = make_policy(f"lerobot:{checkpoint},device=cpu")
     ours.reset(EpisodeContext("Fly"))
     assert np.array_equal(ours.act(observation), expected)
+
+
+def test_a_checkpoint_that_looks_down_sees_both_cameras(checkpoint, tmp_path):
+    from lerobot_checkpoints import save_act
+
+    assert not make_policy(f"lerobot:{checkpoint},device=cpu").needs_down_camera
+    policy = make_policy(f"lerobot:{save_act(tmp_path, down=True)},device=cpu")
+    assert policy.needs_down_camera
+    light, dark = (np.full((256, 256, 3), pixels, np.uint8) for pixels in (255, 0))
+    below = [answers(policy, [replace(seen(), down=image)])[0] for image in (light, dark, light)]
+    assert np.array_equal(below[0], below[2])
+    assert not np.array_equal(below[0], below[1])
+    with pytest.raises(PolicyError, match="needs the camera that looks down"):
+        policy.act(seen())
 
 
 def test_a_damaged_checkpoint_is_reported_with_lerobots_version(checkpoint, tmp_path):

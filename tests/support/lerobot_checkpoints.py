@@ -14,13 +14,15 @@ INPUTS = {
     "observation.images.front": PolicyFeature(type=FeatureType.VISUAL, shape=(3, 256, 256)),
     "observation.state": PolicyFeature(type=FeatureType.STATE, shape=(5,)),
 }
+DOWN = "observation.images.down"
 OUTPUTS = {"action": PolicyFeature(type=FeatureType.ACTION, shape=(4,))}
 
 
-def save_act(folder: Path) -> Path:
-    """An ACT policy with random weights that plays chunks of four; returns its folder."""
+def save_act(folder: Path, *, down: bool = False) -> Path:
+    """An ACT policy with random weights that plays chunks of four, and may see downwards, too; returns its folder."""
+    inputs = INPUTS | ({DOWN: INPUTS["observation.images.front"]} if down else {})
     config = ACTConfig(
-        input_features=INPUTS,
+        input_features=inputs,
         output_features=OUTPUTS,
         device="cpu",
         chunk_size=4,
@@ -34,9 +36,10 @@ def save_act(folder: Path) -> Path:
         pretrained_backbone_weights=None,
     )
     policy = ACTPolicy(config)
+    sizes = {"observation.state": (5,), "action": (4,)}
     stats = {
         key: {"mean": torch.zeros(size), "std": torch.ones(size)}
-        for key, size in (("observation.state", (5,)), ("action", (4,)), ("observation.images.front", (3, 1, 1)))
+        for key, size in {**dict.fromkeys(inputs, (3, 1, 1)), **sizes}.items()
     }
     before, after = make_pre_post_processors(config, dataset_stats=stats)
     policy.save_pretrained(folder)

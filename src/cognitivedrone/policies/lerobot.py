@@ -27,6 +27,7 @@ from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, Observ
 
 EXTRA = "lerobot"
 IMAGE_KEY, STATE_KEY, ACTION_KEY = "observation.images.front", "observation.state", "action"
+DOWN_KEY = "observation.images.down"
 SHAPES = {STATE_KEY: (5,), ACTION_KEY: (4,)}
 _IMAGE = (IMAGE_SIZE, IMAGE_SIZE, 3)
 WEIGHTS = "model.safetensors"
@@ -39,7 +40,8 @@ class LeRobot(Policy):
     """Flies the LeRobot checkpoint in `folder`, on a GPU if there is one, or on `device`.
 
     As in `lerobot-eval`, it is asked at every control step and plays its own chunk of actions. Here a new stage also
-    resets it, because the rest of the chunk belongs to the old instruction.
+    resets it, because the rest of the chunk belongs to the old instruction. One that was trained with the camera that
+    looks down flies where there is one.
     Raises `ModelError` for a folder that is no checkpoint, or one for other cameras, states or actions;
     `MissingExtra` if LeRobot is not installed.
     """
@@ -48,7 +50,9 @@ class LeRobot(Policy):
 
     def __init__(self, folder: Path, *, device: Literal["cuda", "cpu"] | None = None) -> None:
         self.folder = Path(folder)
-        check_features(self.folder, read_config(self.folder))
+        config = read_config(self.folder)
+        check_features(self.folder, config)
+        self.needs_down_camera = DOWN_KEY in _features(config, "input_features")
         torch = import_extra("torch", EXTRA)
         self._torch = torch
         name = device or ("cuda" if torch.cuda.is_available() else "cpu")
@@ -71,17 +75,22 @@ class LeRobot(Policy):
 
     def act(self, observation: Observation) -> ActionChunk:
         """The next command, (1, 4); raises `PolicyError` for an image that is not uint8 (256, 256, 3)."""
-        torch, image = self._torch, observation.image
-        if image.dtype != np.uint8 or image.shape != _IMAGE:
-            raise PolicyError(f"the policy needs uint8 images of shape {_IMAGE}, got {image.dtype} {image.shape}")
+        torch = self._torch
+        cameras = {IMAGE_KEY: observation.image}
+        if self.needs_down_camera:
+            if observation.down is None:
+                raise PolicyError("the policy needs the camera that looks down, and there is none")
+            cameras[DOWN_KEY] = observation.down
+        for image in cameras.values():
+            if image.dtype != np.uint8 or image.shape != _IMAGE:
+                raise PolicyError(f"the policy needs uint8 images of shape {_IMAGE}, got {image.dtype} {image.shape}")
         with torch.inference_mode():
-            seen = self._before(
-                {
-                    IMAGE_KEY: torch.from_numpy(image)[None].permute(0, 3, 1, 2).contiguous().float() / 255,
-                    STATE_KEY: torch.from_numpy(state_of(observation))[None],
-                    "task": [observation.instruction],
-                }
-            )
+            pictures = {
+                key: torch.from_numpy(image)[None].permute(0, 3, 1, 2).contiguous().float() / 255
+                for key, image in cameras.items()
+            }
+            state = torch.from_numpy(state_of(observation))[None]
+            seen = self._before({**pictures, STATE_KEY: state, "task": [observation.instruction]})
             action: ActionChunk = self._after(self._policy.select_action(seen)).cpu().float().numpy()
         return action
 
@@ -118,7 +127,7 @@ def check_features(folder: Path, config: dict[str, Any]) -> None:
     check_form(dict[str, _Feature], features, f"{folder / FILES[0]}: ", ModelError)
     for key, feature in features.items():
         shape = tuple(feature.get("shape", ()))
-        if key != IMAGE_KEY and shape != SHAPES.get(key):
+        if key not in (IMAGE_KEY, DOWN_KEY) and shape != SHAPES.get(key):
             raise ModelError(
                 f"{folder} is a policy with {visible(key[:80])} {shape}; ours has {IMAGE_KEY}, {STATE_KEY} (5,) and"
                 f" {ACTION_KEY} (4,): train it on a LeRobot export of this package (docs/data.md)"
