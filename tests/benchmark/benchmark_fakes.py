@@ -63,16 +63,26 @@ class FakeRunner:
         """Nothing to free."""
 
 
-class DyingRunner(FakeRunner):
-    """Its process is killed in episode 5."""
+class FifthFails(FakeRunner):
+    """Something happens in episode 5."""
 
     def fly(self, episode: int, *, film: bool) -> Rollout:
         if episode == 5:
-            os.kill(os.getpid(), signal.SIGKILL)
+            self.fifth()
         return super().fly(episode, film=film)
 
+    def fifth(self) -> None:
+        """What happens."""
 
-class LosingRunner(FakeRunner):
+
+class DyingRunner(FifthFails):
+    """Its process is killed."""
+
+    def fifth(self) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+class LosingRunner(FifthFails):
     """Loses something once: the file `lost` beside the run's folder says that it is lost."""
 
     def __init__(self, job: Job, watch: Watch = NO_WATCH) -> None:
@@ -81,23 +91,20 @@ class LosingRunner(FakeRunner):
 
 
 class OnceDyingRunner(LosingRunner):
-    """Its process is killed in episode 5, the first time."""
+    """Its process is killed, the first time."""
 
-    def fly(self, episode: int, *, film: bool) -> Rollout:
-        if episode == 5 and not self.lost.exists():
+    killed = staticmethod(os.getpid)
+
+    def fifth(self) -> None:
+        if not self.lost.exists():
             self.lost.touch()
-            os.kill(os.getpid(), signal.SIGKILL)
-        return super().fly(episode, film=film)
+            os.kill(self.killed(), signal.SIGKILL)
 
 
-class ActorLosingRunner(LosingRunner):
-    """The process that started it is killed in episode 5, the first time."""
+class ActorLosingRunner(OnceDyingRunner):
+    """The process that started it is killed, the first time."""
 
-    def fly(self, episode: int, *, film: bool) -> Rollout:
-        if episode == 5 and not self.lost.exists():
-            self.lost.touch()
-            os.kill(os.getppid(), signal.SIGKILL)
-        return super().fly(episode, film=film)
+    killed = staticmethod(os.getppid)
 
 
 class NodeLosingRunner(LosingRunner):
@@ -121,52 +128,42 @@ class NodeLosingRunner(LosingRunner):
         return super().fly(episode, film=film)
 
 
-class BuggyRunner(FakeRunner):
-    """Raises something unforeseen in episode 5."""
+class BuggyRunner(FifthFails):
+    """Raises something unforeseen."""
 
-    def fly(self, episode: int, *, film: bool) -> Rollout:
-        if episode == 5:
-            raise ZeroDivisionError("a bug in a policy")
-        return super().fly(episode, film=film)
+    def fifth(self) -> None:
+        raise ZeroDivisionError("a bug in a policy")
 
 
-class HangingRunner(FakeRunner):
-    """Its policy never answers in episode 5, and keeps the interpreter to itself."""
+class HangingRunner(FifthFails):
+    """Its policy never answers, and keeps the interpreter to itself."""
 
-    def fly(self, episode: int, *, film: bool) -> Rollout:
-        if episode == 5:
-            with calling("the policy", self.watch):
-                re.match(r"(a+)+$", "a" * 60 + "b")
-        return super().fly(episode, film=film)
+    def fifth(self) -> None:
+        with calling("the policy", self.watch):
+            re.match(r"(a+)+$", "a" * 60 + "b")
 
 
-class QuittingRunner(FakeRunner):
-    """Its policy ends the process in episode 5, as if all were well."""
+class QuittingRunner(FifthFails):
+    """Its policy ends the process, as if all were well."""
 
-    def fly(self, episode: int, *, film: bool) -> Rollout:
-        if episode == 5:
-            with calling("the policy", self.watch):
-                os._exit(0)
-        return super().fly(episode, film=film)
-
-
-class CrashingRunner(FakeRunner):
-    """Its policy brings the process down in episode 5."""
-
-    def fly(self, episode: int, *, film: bool) -> Rollout:
-        if episode == 5:
-            with calling("the policy", self.watch):
-                os.kill(os.getpid(), signal.SIGSEGV)
-        return super().fly(episode, film=film)
-
-
-class LeavingRunner(FakeRunner):
-    """Its process ends in episode 5, in good order, and nobody's policy is to blame."""
-
-    def fly(self, episode: int, *, film: bool) -> Rollout:
-        if episode == 5:
+    def fifth(self) -> None:
+        with calling("the policy", self.watch):
             os._exit(0)
-        return super().fly(episode, film=film)
+
+
+class CrashingRunner(FifthFails):
+    """Its policy brings the process down."""
+
+    def fifth(self) -> None:
+        with calling("the policy", self.watch):
+            os.kill(os.getpid(), signal.SIGSEGV)
+
+
+class LeavingRunner(FifthFails):
+    """Its process ends in good order, and nobody's policy is to blame."""
+
+    def fifth(self) -> None:
+        os._exit(0)
 
 
 class RaisingRunner(FakeRunner):
@@ -191,22 +188,18 @@ class StillbornRunner(FakeRunner):
         os._exit(3)
 
 
-class InterruptedRunner(FakeRunner):
-    """Somebody presses Ctrl-C in episode 5."""
+class InterruptedRunner(FifthFails):
+    """Somebody presses Ctrl-C."""
 
-    def fly(self, episode: int, *, film: bool) -> Rollout:
-        if episode == 5:
-            raise KeyboardInterrupt
-        return super().fly(episode, film=film)
+    def fifth(self) -> None:
+        raise KeyboardInterrupt
 
 
-class GroupInterruptedRunner(FakeRunner):
-    """Somebody presses Ctrl-C in episode 5; the terminal tells the whole process group."""
+class GroupInterruptedRunner(FifthFails):
+    """Somebody presses Ctrl-C; the terminal tells the whole process group."""
 
-    def fly(self, episode: int, *, film: bool) -> Rollout:
-        if episode == 5:
-            os.killpg(os.getpgrp(), signal.SIGINT)
-        return super().fly(episode, film=film)
+    def fifth(self) -> None:
+        os.killpg(os.getpgrp(), signal.SIGINT)
 
 
 class NamedRunner(FakeRunner):

@@ -6,6 +6,7 @@ import html
 import json
 import math
 import re
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -36,25 +37,17 @@ from cognitivedrone.rollout.pool import InProcess
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.text.printable import unprintable
 
-STRAIGHT = """
-import numpy as np
-
-class Straight:
+DIVING = """
+class Dive:
     def reset(self, context): pass
-    def act(self, observation): return np.array([[4.0, 0, 0, 0]])
-"""
-
-MOODY = """
-import numpy as np
+    def act(self, observation): return [[0.0, 0.0, -3.0, 0.0]]
 
 class Moody:
     flights = 0
-
     def reset(self, context): Moody.flights += 1
-
-    def act(self, observation):
-        return np.array([[0, 0, -2.0 if Moody.flights % 4 == 1 else -3.0 if Moody.flights % 2 else 0, 0]], np.float32)
+    def act(self, observation): return [[0.0, 0.0, 3.0 if Moody.flights == 1 else -3.0, 0.0]]
 """
+"""Pilots whose flights are soon over: at the floor, or the first one above the bounds."""
 
 
 @pytest.fixture
@@ -208,11 +201,11 @@ def test_a_sample_is_flown_again(file: Path, capsys: pytest.CaptureFixture[str])
     assert (checked.flown, checked.equal, checked.passed, checked.submitted) == (2, 2, 2, 2)
     assert (checked.worse, checked.better, checked.valid, checked.repeats) == (0, 0, 0, True)
     assert checked.verdict == "confirmed"
-    main(["verify", str(file), "--sample", "8", "--seed", "3"])
+    main(["verify", str(file), "--sample", "4", "--seed", "3"])
     assert capsys.readouterr().out == (
         "sample: --seed 3\n"
-        "open-v1:smoke: 8 of 8 flights ended as submitted; 8 stages passed, 8 submitted as passed: confirmed\n"
-        "  9 or more false flights among the 30 would not have been confirmed, with a probability of 95 %\n"
+        "open-v1:smoke: 4 of 4 flights ended as submitted; 4 stages passed, 4 submitted as passed: confirmed\n"
+        "  15 or more false flights among the 30 would not have been confirmed, with a probability of 95 %\n"
     )
 
 
@@ -223,17 +216,16 @@ def test_the_sample_is_another_one_each_time_and_can_be_repeated(
 
     def noted(self: InProcess[Any, Any], items: Sequence[Any]) -> Iterator[Any]:
         flown.append([*items])
-        return as_before(self, items)
+        raise RunError("it is known what would be flown")
 
-    as_before = InProcess.fly
     monkeypatch.setattr(InProcess, "fly", noted)
-    seeds = []
-    for _ in range(2):
-        main(["verify", str(file), "--sample", "5"])
+    seeds: list[str] = []
+    for more in ([], [], ["--seed"]):
+        with pytest.raises(SystemExit):
+            main(["verify", str(file), "--sample", "5", *more, *(seeds[:1] if more else [])])
         seeds.append(capsys.readouterr().out.partition("\n")[0].removeprefix("sample: --seed "))
-    main(["verify", str(file), "--sample", "5", "--seed", seeds[0]])
-    first, second, again = (each for each in flown if each)
-    assert seeds[0] != seeds[1]
+    first, second, again = flown
+    assert seeds[0] == seeds[2] != seeds[1]
     assert first != second
     assert first == again
 
@@ -247,15 +239,25 @@ def test_a_sample_that_cannot_be_drawn_is_reported(
     assert f"{options[0]} is {options[1]}; it must be" in capsys.readouterr().err
 
 
-def tampered(file: Path, ends: dict[str, Any], *, of: int = 20, policy: str = "hover") -> Path:
-    """A file of `hover`, whose flights all fail, that says that the first `of` ended so; its scores follow."""
+@pytest.fixture
+def diving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The module of pilots whose flights are soon over."""
+    (tmp_path / "diving.py").write_text(DIVING)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "diving", raising=False)
+    return tmp_path / "diving.py"
+
+
+def tampered(file: Path, ends: dict[str, Any], policy: str, code: Path) -> Path:
+    """A file that says that the first 20 flights ended so, and the others at the floor; its scores follow."""
     document = json.loads(file.read_text())
     run = document["runs"][0]
     run["run"] |= {"policy": policy}
+    run["run"]["options"] |= {"policy_code": digest_of_file(code)}
     suite = load_suite("open-v1:smoke")
-    timeout = {"outcome": "timeout", "chosen": None}
+    floor = {"outcome": "collision", "chosen": None}
     right = [{"chosen": track[0].target, **ends} for track in suite.tracks]
-    run["flown"] = [[each if index < of else timeout] for index, each in enumerate(right)]
+    run["flown"] = [[each if index < 20 else floor] for index, each in enumerate(right)]
     made = decode(SubmittedRun, run, "")
     overall, categories, mean = scores_of([*stages_of(made, "")])
     document["runs"] = [encode(replace(made, overall=overall, categories=categories, mean=mean))]
@@ -263,24 +265,26 @@ def tampered(file: Path, ends: dict[str, Any], *, of: int = 20, policy: str = "h
     return file
 
 
-def test_failures_that_are_called_invalid_are_refuted(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    submission = read_submission(tampered(file, {"outcome": "invalid", "chosen": None}, policy="oracle"))
+def test_failures_that_are_called_invalid_are_refuted(
+    file: Path, diving: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    invalid = {"outcome": "invalid", "chosen": None}
+    submission = read_submission(tampered(file, invalid, "diving:Dive", diving))
     assert submission.runs[0].overall.n == 10
-    (checked,) = verify(submission, 2, progress=False)
+    (checked,) = verify(submission, 2, policy="diving:Dive", progress=False)
     assert checked.valid >= 2  # of the flights called invalid, as many as the sample has, besides those in it
     assert checked.verdict == "refuted"
     with pytest.raises(SystemExit, match="1"):
-        main(["verify", str(file), "--sample", "1"])
+        main(["verify", str(file), "--sample", "1", "--policy", "diving:Dive"])
     message = capsys.readouterr().out
     assert "NOT confirmed" in message
     assert "stages that were submitted as invalid are valid" in message
 
 
-@pytest.mark.parametrize(
-    "ends", [{"outcome": "passed"}, pytest.param({"outcome": "collision", "chosen": 1}, marks=pytest.mark.slow)]
-)
-def test_outcomes_that_are_false_are_refuted_whatever_they_are(file: Path, ends: dict[str, Any]) -> None:
-    (checked,) = verify(read_submission(tampered(file, ends)), 3, seed=1, progress=False)
+@pytest.mark.parametrize("ends", [{"outcome": "passed"}, {"outcome": "timeout", "chosen": None}])
+def test_outcomes_that_are_false_are_refuted_whatever_they_are(file: Path, diving: Path, ends: dict[str, Any]) -> None:
+    submission = read_submission(tampered(file, ends, "diving:Dive", diving))
+    (checked,) = verify(submission, 3, seed=1, policy="diving:Dive", progress=False)
     assert checked.equal < 3
     assert checked.verdict == "refuted"
 
@@ -325,30 +329,22 @@ def test_what_a_sample_finds_is_reported_as_it_is() -> None:
     assert Verified("open-v1:test", 300, 300, 300, 9, 9, 0, 0, 0, True, ()).finds == 4
 
 
-def test_a_pilot_that_does_not_repeat_its_flights_is_compared_by_passes(
-    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "moody.py").write_text(MOODY)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    document = json.loads(tampered(file, {"outcome": "timeout", "chosen": None}).read_text())
-    digest = digest_of_file(tmp_path / "moody.py")
-    document["runs"][0]["run"] |= {"policy": "moody:Moody"}
-    document["runs"][0]["run"]["options"] |= {"policy_code": digest}
-    file.write_text(json.dumps(document))
-    (checked,) = verify(read_submission(file), 4, seed=1, policy="moody:Moody", progress=False)
+def test_a_pilot_that_does_not_repeat_its_flights_is_compared_by_passes(file: Path, diving: Path) -> None:
+    submission = read_submission(tampered(file, {"outcome": "collision", "chosen": None}, "diving:Moody", diving))
+    (checked,) = verify(submission, 4, seed=1, policy="diving:Moody", progress=False)
     assert checked.equal < 4
     assert not checked.repeats
-    assert checked.verdict == "confirmed"  # it hovers or hits the floor: it passes as seldom as it said
+    assert checked.verdict == "confirmed"  # it passes as seldom as it said
 
 
 def test_what_a_file_names_is_not_run_and_not_opened(file: Path, tmp_path: Path, capsys: Any, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "owned.py").write_text("open('imported', 'w').close()\n" + STRAIGHT)
+    (tmp_path / "owned.py").write_text("open('imported', 'w').close()\n" + DIVING)
     monkeypatch.syspath_prepend(str(tmp_path))
     original = file.read_text()
     for part, name in (
         ("policy", "os:system:touch imported"),
-        ("policy", "owned:Straight"),
+        ("policy", "owned:Dive"),
         ("policy", "remote:ws://127.0.0.1:9"),
         ("policy", "small:/etc/passwd"),
         ("reasoner", "replay:/etc/passwd"),
@@ -375,25 +371,20 @@ def test_what_a_file_names_is_not_run_and_not_opened(file: Path, tmp_path: Path,
         assert message in capsys.readouterr().err
 
 
-def test_the_code_of_an_own_policy_is_named_by_the_person_and_must_be_the_same(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    module = tmp_path / "steering.py"
-    module.write_text(STRAIGHT)
-    monkeypatch.syspath_prepend(str(tmp_path))
-    plan = Plan.of(policy="steering:Straight", suite="open-v1:smoke", workers=0, clips=0, out=tmp_path / "run")
+def test_the_code_of_an_own_policy_is_named_by_the_person_and_must_be_the_same(tmp_path: Path, diving: Path) -> None:
+    plan = Plan.of(policy="diving:Dive", suite="open-v1:smoke", workers=0, clips=0, out=tmp_path / "run")
     run(plan, progress=False)
     file = tmp_path / "mine.json"
     write_submission(file, submission_of([tmp_path / "run"], "Mine", "Us"))
     with pytest.raises(PolicyError, match="name it yourself with --policy"):
         verify(read_submission(file), 2, progress=False)
-    (checked,) = verify(read_submission(file), 2, policy="steering:Straight", progress=False)
+    (checked,) = verify(read_submission(file), 2, policy="diving:Dive", progress=False)
     assert checked.verdict == "confirmed"
     with pytest.raises(RunError, match="policy_code is another file here"):
         verify(read_submission(file), 2, policy="hover", progress=False)
-    module.write_text(STRAIGHT + "# edited\n")
+    diving.write_text(DIVING + "# edited\n")
     with pytest.raises(RunError, match=r"policy_code is another file here .*; get the submission's code"):
-        verify(read_submission(file), 2, policy="steering:Straight", progress=False)
+        verify(read_submission(file), 2, policy="diving:Dive", progress=False)
     with pytest.raises(RunError, match=r"contains another run: .*policy_code"):
         run(plan.changed(resume=True), progress=False)
 

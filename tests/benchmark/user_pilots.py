@@ -166,12 +166,14 @@ class CannotBeMade(Straight):
 
 
 class Constant(Straight):
+    """Climbs, and soon out of bounds."""
+
     def __init__(self, rows: int = 1) -> None:
         super().__init__()
         self.rows = rows
 
     def act(self, observation):
-        return np.linspace([0, 0, 0.1, 0], [0, 0, 0.1, 0.1], self.rows).astype(np.float32)
+        return np.linspace([0, 0, 1.5, 0], [0, 0, 1.5, 0.1], self.rows).astype(np.float32)
 
 
 class PerFlight(Straight):
@@ -180,7 +182,7 @@ class PerFlight(Straight):
     needs_seed = True
 
     def reset(self, context: EpisodeContext) -> None:
-        self.command = np.random.default_rng(context.seed).uniform(0, 0.2, (1, 4)).astype(np.float32)
+        self.command = np.random.default_rng(context.seed).uniform(1.0, 1.5, (1, 4)).astype(np.float32)
 
     def act(self, observation):
         return self.command

@@ -86,6 +86,7 @@ def test_what_was_measured_is_kept_where_it_is_ended_early(short, monkeypatch, t
     find(monkeypatch, None)
     monkeypatch.setattr(environment, "single", lambda: lambda: None)
     monkeypatch.setattr(environment, "vector", lambda worlds, **_: lambda: None)
+    monkeypatch.setattr(environment, "crowded", lambda count: None)
     monkeypatch.setattr(environment, "REPETITIONS", 3)
     out, kept = tmp_path / "environment.json", []
     turns = environment.steps_per_second
@@ -110,6 +111,10 @@ def test_what_was_measured_is_kept_where_it_is_ended_early(short, monkeypatch, t
 
 def test_where_it_is_not_the_ratio_is_to_a_dated_figure(short, monkeypatch, capsys):
     find(monkeypatch, None)
+    monkeypatch.setattr(environment, "single", lambda: lambda: None)
+    monkeypatch.setattr(environment, "vector", lambda worlds, **_: lambda: None)
+    monkeypatch.setattr(environment, "crowded", lambda count: None)
+    monkeypatch.setattr(environment, "reset_seconds", lambda: 0.0)
     environment.main([])
     printed = capsys.readouterr().out
     steps = environment.STEPS

@@ -143,9 +143,6 @@ def test_an_altered_shard_is_named(store, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (("collect", "--recipe", "papper"), "did you mean 'paper'"),
-        (("collect", "--suite", "open-v1:trian"), "did you mean 'open-v1:train'"),
-        (("collect", "--episodes", 0), "at least 1"),
         (("data", "export", "STORE", "--to", "rlsd"), "did you mean 'rlds'"),
         (("data", "import", "STORE", "--from", "lerobto"), "did you mean 'lerobot'"),
         (("data", "import", "no/such", "--from", "rlds"), "no/such"),

@@ -78,12 +78,6 @@ def test_the_oracle_flies_tracks_to_their_end(tmp_path):
     assert results.summary().overall.passed == 5
 
 
-def test_single_tasks_can_be_chained_into_tracks(tmp_path):
-    arguments = ("--suite", "open-v1:smoke", "--policy", "oracle", "--track", "--episodes", 1, "--clips", 0)
-    results = flown(tmp_path / "t", *arguments)
-    assert results.summary().overall.passed == 5
-
-
 def test_a_killed_run_goes_on_where_it_was(tmp_path, capsys):
     task = ("--suite", "open-v1:smoke", "--policy", "oracle", "--episodes", 6, "--clips", 1)
     arguments = ("bench", *task, "--workers", 1, "--out", tmp_path / "run")
@@ -107,26 +101,6 @@ def test_a_policy_of_ones_own_is_scored(tmp_path):
     assert {stage.chosen for episode in straight.episodes for stage in episode.stages} <= {1, None}
 
 
-def test_nan_actions_are_counted_apart(tmp_path, capsys, monkeypatch):
-    (tmp_path / "broken_nan.py").write_text(
-        "import numpy as np\n"
-        "class Broken:\n"
-        "    def reset(self, context): self.steps = 0\n"
-        "    def act(self, observation):\n"
-        "        self.steps += 1\n"
-        "        return np.full((1, 4), np.nan if self.steps > 3 else 0.1, np.float32)\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    out = tmp_path / "nan"
-    arguments = ("--suite", "open-v1:smoke", "--policy", "broken_nan:Broken", "--episodes", "2", "--workers", "0")
-    with pytest.raises(SystemExit) as end:
-        main(["bench", "--out", str(out), *arguments])
-    assert end.value.code == 1  # nothing was flown by the policy
-    assert "every episode ended in an error of the policy" in capsys.readouterr().out
-    results = read_results(out / "results.json")
-    assert results.summary().overall.outcomes["policy_error"] == 2
-
-
 @pytest.mark.skipif(not PUBLISHED.is_dir(), reason="the published tasks and label images are not at hand")
 def test_published_tasks_fly_with_their_own_pictures(tmp_path):
     for kind in ("Letters", "Math_desk"):
@@ -145,17 +119,6 @@ def test_every_label_of_every_suite_can_be_drawn():
         references = {r for track in suite.tracks for task in track for r in (*task.labels, task.board) if r}
         for reference in sorted(references)[::4]:
             assert pack.image(reference).shape == (256, 256, 3)
-
-
-def test_view_draws_a_task(tmp_path):
-    typed(["view", "--suite", "open-v1:smoke", "--episode", 2, "--out", "v.png"], tmp_path)
-    assert np.asarray(Image.open(tmp_path / "v.png")).std() > 20
-
-
-def test_list_names_what_there_is(tmp_path):
-    listed = typed(["list"], tmp_path)
-    for name in ("open-v1:hard", "colour_seeker", "math_board", "iris"):
-        assert name in listed
 
 
 def test_two_runs_are_compared(tmp_path):
@@ -187,19 +150,11 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     return capsys.readouterr().err
 
 
-def broken(**changes: object) -> str:
-    return json.dumps([{**TASK, **changes}])
-
-
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        (broken(correct=4), "correct"),
-        (broken(options=["A", "A", "C"]), "'A'"),
-        (broken(gates={**TASK["gates"], "2": TASK["gates"]["1"]}), "colo"),
-        (broken(options=["zebr", "B", "C"]), "zebr"),
-        ("{", "JSON"),
-        ("[]", "holds no task"),
+        (json.dumps([TASK | {"correct": 4}]), "correct"),
+        (json.dumps([TASK | {"options": ["zebr", "B", "C"]}]), "zebr"),  # of which there is no picture
     ],
 )
 def test_a_malformed_task_is_one_sentence_and_exit_code_2(tmp_path, capsys, text, says):
@@ -215,28 +170,3 @@ def test_a_malformed_task_is_one_sentence_and_exit_code_2(tmp_path, capsys, text
     )
     assert says in said
     assert len(said.strip().splitlines()) <= 3
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (("--suite", "open-v1:tset"), "did you mean 'open-v1:test'"),
-        (("--policy", "orakel", "--workers", 0), "did you mean 'oracle'"),
-        (("--reasoner", "orakel", "--workers", 0), "did you mean 'oracle'"),
-        (("--tasks", "no/such/file.json"), "no/such/file.json"),
-        (("--labels", "no/such/folder"), "no/such/folder"),
-        (("--airframe", "irish", "--workers", 0), "did you mean 'iris'"),
-        (("--workers", -1), "worker"),
-        (("--episodes", 0), "episode"),
-    ],
-)
-def test_a_mistake_is_one_sentence_and_exit_code_2(tmp_path, capsys, arguments, says):
-    assert says in refused(capsys, "bench", "--out", tmp_path / "out", *arguments)
-    assert not (tmp_path / "out").exists() or not any((tmp_path / "out").iterdir())
-
-
-def test_a_folder_that_holds_something_else_is_left_alone(tmp_path, capsys):
-    (tmp_path / "precious.txt").write_text("mine")
-    refused(capsys, "bench", "--suite", "open-v1:smoke", "--policy", "hover", "--out", tmp_path, "--overwrite")
-    assert (tmp_path / "precious.txt").read_text() == "mine"
-    assert [path.name for path in tmp_path.iterdir()] == ["precious.txt"]

@@ -336,13 +336,6 @@ def test_two_files_of_one_name_are_named(tmp_path, other):
     assert len(told) == 1
 
 
-def test_kinds_that_differ_in_case_are_one(tmp_path):
-    save(tmp_path / "Animal" / "cat.png", "red")
-    save(tmp_path / "animal" / "dog.png", "blue")
-    pack = load_pack(str(tmp_path))
-    assert (mean_color(pack, "animal/cat"), mean_color(pack, "Animal/dog")) == ([255, 0, 0], [0, 0, 255])
-
-
 def test_pictures_that_are_not_read_are_named(folder, tmp_path):
     for name in ("cow.heic", "hen.TIFF", "owl.svg"):
         (folder / "animal" / name).write_bytes(b"x")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 
@@ -165,7 +164,3 @@ def test_the_text_encoder_gives_every_token_a_meaning_in_context_and_padding_non
             other = [values.clone() for values in told]
             other[which][:, 5] = (other[which][:, 5] + 1) % (2 if which == 2 else 39) + (which == 0)
             assert (encoder(*other)[:, 0] != words[:, 0]).any(dim=-1).all()
-
-
-def test_a_configuration_comes_back_from_json() -> None:
-    assert LanguageConfig.of(json.loads(json.dumps(CONFIG.facts()))) == CONFIG

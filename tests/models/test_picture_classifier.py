@@ -83,12 +83,7 @@ def test_drawings_stand_on_paper_and_photographs_fill_their_panel():
     assert paper_share(photograph) < 0.05
 
 
-def test_a_damaged_or_foreign_file_is_an_error_before_any_flight(tmp_path):
-    content = bytearray(PACKAGED.read_bytes())
-    content[len(content) // 2] ^= 1
-    (tmp_path / "damaged.onnx").write_bytes(content)
-    with pytest.raises(ModelError, match="does not match its checksum"):
-        PictureClassifier.load(tmp_path / "damaged.onnx")
+def test_a_missing_or_foreign_file_is_an_error_before_any_flight(tmp_path):
     with pytest.raises(ModelError, match="there is no model file"):
         PictureClassifier.load(tmp_path / "missing.onnx")
     with pytest.raises(ModelError):

@@ -236,6 +236,6 @@ def test_bins_and_values_decode_to_the_ends_of_the_range() -> None:
     torch.testing.assert_close(values.decode(3 * ends), torch.stack([values.low, values.high]))
 
 
-@pytest.mark.parametrize("config", [CONFIG, replace(CONFIG, reader=None)])
-def test_facts_are_json_values_that_make_the_same_configuration(config: SmallVLAConfig) -> None:
-    assert SmallVLAConfig.of(json.loads(json.dumps(config.facts()))) == config
+@pytest.mark.parametrize("config", [CONFIG, replace(CONFIG, reader=None), CONFIG.reader, CONFIG.language])
+def test_facts_are_json_values_that_make_the_same_configuration(config: Any) -> None:
+    assert type(config).of(json.loads(json.dumps(config.facts()))) == config

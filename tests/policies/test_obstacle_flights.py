@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from cognitivedrone.envs.track_runner import TrackConfig, draw_start
 from cognitivedrone.envs.worlds import Worlds
@@ -51,5 +52,9 @@ def hits(policy: Small) -> int:
 
 
 def test_obstacles_are_seen_and_flown_around() -> None:
-    assert hits(Small(avoid=False)) >= 3
     assert hits(Small()) <= 1
+
+
+@pytest.mark.slow
+def test_without_its_eye_it_flies_into_them() -> None:
+    assert hits(Small(avoid=False)) >= 3

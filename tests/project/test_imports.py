@@ -6,7 +6,6 @@ import json
 import subprocess
 import sys
 import warnings
-from collections.abc import Sequence
 
 import pytest
 
@@ -61,20 +60,16 @@ for arguments in json.loads(sys.argv[1]):
 """
 
 
-def loaded_by(*commands: Sequence[str]) -> dict[tuple[str, ...], set[str]]:
-    """The modules that each of the commands has loaded at its end."""
-    program = [sys.executable, "-c", LOADED, json.dumps(commands)]
-    done = subprocess.run(program, capture_output=True, text=True, check=True)
-    lines = [line.removeprefix("loaded: ") for line in done.stdout.splitlines() if line.startswith("loaded: ")]
-    return {tuple(arguments): set(loaded) for arguments, loaded in map(json.loads, lines)}
-
-
 COMMANDS = [("--version",), *((*words, "--help") for words in ((), ("data",), *(name.split() for name in TARGETS)))]
 
 
 @pytest.fixture(scope="module")
 def loaded() -> dict[tuple[str, ...], set[str]]:
-    return loaded_by(*COMMANDS)
+    """The modules that each of the commands has loaded at its end."""
+    program = [sys.executable, "-c", LOADED, json.dumps(COMMANDS)]
+    done = subprocess.run(program, capture_output=True, text=True, check=True)
+    lines = [line.removeprefix("loaded: ") for line in done.stdout.splitlines() if line.startswith("loaded: ")]
+    return {tuple(arguments): set(modules) for arguments, modules in map(json.loads, lines)}
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
@@ -83,10 +78,13 @@ def test_help_loads_nothing_heavy(loaded, command):
     assert not loaded[command] & HEAVY
 
 
-def test_a_command_loads_none_of_the_others():
-    (loaded,) = loaded_by(("bench", "--help")).values()
-    assert "cognitivedrone.cli.scoring" in loaded
-    assert not loaded & {"cognitivedrone.cli.data", "cognitivedrone.cli.flying", "cognitivedrone.cli.training"}
+def test_a_command_loads_none_of_the_others(loaded):
+    assert "cognitivedrone.cli.scoring" in loaded["bench", "--help"]
+    assert not loaded["bench", "--help"] & {
+        "cognitivedrone.cli.data",
+        "cognitivedrone.cli.flying",
+        "cognitivedrone.cli.training",
+    }
 
 
 def test_what_the_benchmark_names_is_there_when_it_is_asked_for():

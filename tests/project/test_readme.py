@@ -108,11 +108,6 @@ def free_port():
         return probe.getsockname()[1]
 
 
-@pytest.mark.parametrize("page", sorted(set(re.findall(r"\]\(((?:docs|examples)/[^)#]+)\)", README))))
-def test_what_it_links_to_exists(page):
-    assert (ROOT / page).is_file()
-
-
 FEW = """
 import functools, cognitivedrone
 cognitivedrone.evaluate = functools.partial(cognitivedrone.evaluate, episodes=3)

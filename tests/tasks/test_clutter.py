@@ -19,6 +19,7 @@ from cognitivedrone.tasks.families.clutter import (
     ROWS_M,
     SEEN,
     cluttered,
+    crossed,
     has_ways,
     is_free,
     is_in_the_way,
@@ -82,8 +83,9 @@ def test_a_file_holds_how_something_moves():
     assert task_from_json(json.loads(json.dumps(task_to_json(task))), where="x") == task
 
 
-def test_equal_seeds_draw_equal_obstacles():
-    first, second = (cluttered(np.random.default_rng(3), PLAIN, "frame", 4) for _ in range(2))
+@pytest.mark.parametrize(("draw", "kind", "count"), [(cluttered, "frame", 4), (crossed, "person", 3)])
+def test_equal_seeds_draw_equal_obstacles(draw, kind, count):
+    first, second = (draw(np.random.default_rng(3), PLAIN, kind, count) for _ in range(2))
     assert first == second
     assert task_from_json(json.loads(json.dumps(task_to_json(first))), where="x") == first
 

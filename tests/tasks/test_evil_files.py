@@ -136,7 +136,19 @@ def test_the_name_of_a_file_is_a_text_too(tmp_path: Path, name: str) -> None:
             suite_from_files(given)
 
 
-def test_brackets_are_no_markup(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+DIVE = """
+class Dive:
+    def reset(self, context): pass
+    def act(self, observation): return [[0.0, 0.0, -3.0, 0.0]]
+"""
+"""Flights that end soon."""
+
+
+def test_brackets_are_no_markup(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "dive.py").write_text(DIVE)
+    monkeypatch.syspath_prepend(tmp_path)
     evil = "[/f] [bold]x[/bold] [link=http://x]y"
     folder = tmp_path / "[bold]"
     folder.mkdir()
@@ -144,7 +156,7 @@ def test_brackets_are_no_markup(tmp_path: Path, capsys: pytest.CaptureFixture[st
     # Ten of a family have a row in the table.
     path = written(folder, *(task | {"id": f"{evil}{number}"} for number in range(10)), name="[red].json")
     out = str(tmp_path / "[out]")
-    main(["bench", "--policy", "random", "--tasks", str(path), "--out", out, "--workers", "0", "--clips", "0"])
+    main(["bench", "--policy", "dive:Dive", "--tasks", str(path), "--out", out, "--workers", "0", "--clips", "0"])
     printed = capsys.readouterr().out
     assert "of 11 tasks of [red].json" in printed
     assert evil in printed

@@ -6,7 +6,6 @@ import pytest
 
 from cognitivedrone.errors import TaskError
 from cognitivedrone.tasks import SUITES, load_suite
-from cognitivedrone.tasks.build import build_suite
 from cognitivedrone.tasks.families.mission_tasks import landing_task
 from cognitivedrone.tasks.format import task_from_json, task_to_json
 from cognitivedrone.tasks.missions import is_mission, lands, pad_directive, problem_of, rejects, sub_goals
@@ -348,7 +347,6 @@ def test_a_landing_is_written_and_read_and_stands_alone():
 
 def test_the_suite_has_typed_and_generated_missions_each_with_one_sentence():
     suite = load_suite(MISSIONS)
-    assert list(suite.tracks) == build_suite(MISSIONS)
     assert len(suite.tracks) == 150
     for number, track in enumerate(suite.tracks):
         (sentence,) = {task.mission for task in track}

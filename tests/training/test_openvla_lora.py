@@ -471,18 +471,7 @@ class TestBeforeAnythingHeavyIsLoaded:
         with pytest.raises(TrainingError, match=r"needs 0\.\d GB of memory, has 0\.0 GB free"):
             fine_tune(FineTuning(base, flights, tmp_path / "run", RECIPE))
 
-    def test_no_base(self, flights: Path, tmp_path: Path) -> None:
-        with pytest.raises(PolicyError, match="there is no folder"):
-            fine_tune(FineTuning(tmp_path / "nowhere", flights, tmp_path / "run"))
-
-    def test_a_base_of_another_architecture(self, base: Path, flights: Path, tmp_path: Path) -> None:
-        copy = Path(shutil.copytree(base, tmp_path / "other"))
-        told = json.loads((copy / "config.json").read_text())
-        (copy / "config.json").write_text(json.dumps(told | {"model_type": "llava"}))
-        with pytest.raises(PolicyError, match=r"other: config.json: model_type is 'llava'"):
-            fine_tune(FineTuning(copy, flights, tmp_path / "run"))
-
-    def test_a_base_that_is_cut_off(self, base: Path, flights: Path, tmp_path: Path) -> None:
+    def test_a_base_that_cannot_be_read(self, base: Path, flights: Path, tmp_path: Path) -> None:
         copy = Path(shutil.copytree(base, tmp_path / "cut"))
         weights = copy / checkpoints.WEIGHTS
         weights.write_bytes(weights.read_bytes()[:-100])

@@ -167,7 +167,7 @@ def test_a_place_is_drawn_the_same_each_time_and_only_where_it_is_asked_for():
     assert np.abs(np.diff(turned.astype(int), axis=2)).mean() < across
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_pads_are_seen_on_the_ground_of_a_place(seed):
     look = photo_appearance(np.random.default_rng(seed), ["sunset"])
     red, green, blue = (Gate("big", "round", color) for color in ("red", "green", "blue"))
@@ -243,13 +243,6 @@ def test_pictures_that_are_no_panoramas_are_refused_with_the_way_out(tmp_path, s
         places.load_place(str(tmp_path / "mine.jpg"))
 
 
-@pytest.mark.parametrize("content", [b"", b"<html>", b"\0" * 1000, b"v/1\x01 exr", b"RIFF....AVI "])
-def test_files_that_are_no_pictures_are_refused(tmp_path, content):
-    (tmp_path / "mine.jpg").write_bytes(content)
-    with pytest.raises(AppearanceError, match=r"panorama .* cannot be read"):
-        places.load_place(str(tmp_path / "mine.jpg"))
-
-
 def test_a_name_that_is_neither_place_nor_file_is_met_with_the_nearest(tmp_path):
     with pytest.raises(AppearanceError, match="did you mean 'warehouse'"):
         places.load_place("wearhouse")
@@ -309,15 +302,20 @@ def test_a_file_of_200_megabytes_is_refused_before_it_is_read(tmp_path):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
+        (b"", ""),
+        (b"<html>", ""),
+        (b"\0" * 1000, ""),
+        (b"v/1\x01 exr", ""),
+        (b"RIFF....AVI ", ""),
         (b"\x76\x2f\x31\x01" + bytes(100), "high dynamic range; save it as PNG or JPEG"),
         (b"#?RADIANCE\n", "high dynamic range; save it as PNG or JPEG"),
         (bytes([0, 0, 0, 24]) + b"ftypisom" + bytes(100), "a video; save one frame of it"),
         (b"RIFF\0\0\0\0AVI ", "a video; save one frame of it"),
     ],
 )
-def test_a_picture_of_half_floats_and_a_video_are_refused_with_the_way_out(tmp_path, content, said):
+def test_files_that_are_no_pictures_are_refused_with_the_way_out_where_their_kind_is_known(tmp_path, content, said):
     (tmp_path / "mine.jpg").write_bytes(content)
-    with pytest.raises(AppearanceError, match=said):
+    with pytest.raises(AppearanceError, match=rf"panorama .* cannot be read.*{said}"):
         places.load_place(str(tmp_path / "mine.jpg"))
 
 

@@ -115,13 +115,12 @@ def test_a_worker_that_dies_is_reported_with_its_episode_and_the_rest_is_kept(co
     assert run(config.changed(resume=True), progress=False, runner=RUNNER).summary().overall.n == 20
 
 
-@pytest.mark.parametrize("workers", [1, 2])
 @pytest.mark.parametrize(
-    ("runner", "says", "trace"),
+    ("runner", "says", "trace", "workers"),
     [
-        ("HangingRunner", "took longer than 1 s", "benchmark_fakes.py"),
-        ("QuittingRunner", "ended with exit code 0 during a call of policy or reasoner", "exit code 0"),
-        ("CrashingRunner", "was killed by SIGSEGV during a call", "Segmentation fault"),
+        ("HangingRunner", "took longer than 1 s", "benchmark_fakes.py", 2),
+        ("QuittingRunner", "ended with exit code 0 during a call of policy or reasoner", "exit code 0", 1),
+        ("CrashingRunner", "was killed by SIGSEGV during a call", "Segmentation fault", 2),
     ],
 )
 def test_a_worker_that_a_policy_takes_down_costs_one_episode(config, runner, says, trace, workers):

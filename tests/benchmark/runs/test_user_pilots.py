@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 
 import pytest
+import user_pilots
 
 from cognitivedrone import evaluate
 from cognitivedrone.benchmark.runs.runner import Interrupted
 from cognitivedrone.cli import main
+from cognitivedrone.control.calls import calling, check_chunk
 from cognitivedrone.errors import PolicyError, RunError
 
 
@@ -22,27 +25,9 @@ def lasting(folder):
     ("how", "says", "trace"),
     [
         ("raise", r"the policy raised RuntimeError: CUDA out of memory (user_pilots.py, line", "in misbehave"),
-        (
-            "surrogate",
-            r"the policy raised RuntimeError: no file \udcff.npy\x1b[31m (user_pilots.py, line",
-            "in misbehave",
-        ),
-        ("exit", "the policy raised SystemExit: 0 (user_pilots.py, line", "in misbehave"),
-        ("shape", "rate in rad/s; return one action as [[vx, vy, vz, yaw_rate]]", "check_chunk"),
-        ("words", "the policy returned 'str', not an array of numbers", "check_chunk"),
-        ("nothing", "the policy returned None, not an array of numbers", "check_chunk"),
-        ("nan", "not all of it is a finite number", "check_chunk"),
         ("interrupt", "the policy raised KeyboardInterrupt: (user_pilots.py, line", "in misbehave"),
-        ("cancelled", "the policy raised CancelledError: (user_pilots.py, line", "in misbehave"),
-        ("end", "the policy raised Ended: (user_pilots.py, line", "in misbehave"),
-        ("array exits", "the policy raised SystemExit: 3 (user_pilots.py, line", "in __array__"),
         ("array interrupts", "the policy raised KeyboardInterrupt: (user_pilots.py, line", "in __array__"),
-        ("array divides", "the policy raised ZeroDivisionError: division by zero (user", "in __array__"),
-        ("complex", "not an array of numbers; expected (k, 4) float32, came complex128", "check_chunk"),
-        ("numbers as text", "the policy returned 'list', not an array of numbers", "check_chunk"),
-        ("yes and no", "the policy returned 'ndarray', not an array of numbers", "check_chunk"),
-        ("text in an object", "the policy returned 'ndarray', not an array of numbers", "check_chunk"),
-        ("too large", "not all of it is a finite number", "check_chunk"),
+        ("nan", "not all of it is a finite number", "check_chunk"),
     ],
 )
 def test_a_mistake_is_a_policy_error_with_its_traceback(tmp_path, how, says, trace):
@@ -59,6 +44,30 @@ def test_a_mistake_is_a_policy_error_with_its_traceback(tmp_path, how, says, tra
     assert table.startswith("every episode ended in an error of the policy: the policy ")
     assert "policy errors, counted as not passed: 2" in table
     assert "all in the folder errors; --fail-fast stops at the first" in table
+
+
+@pytest.mark.parametrize(
+    ("how", "says"),
+    [
+        ("surrogate", r"the policy raised RuntimeError: no file \udcff.npy\x1b[31m (user_pilots.py, line"),
+        ("exit", "the policy raised SystemExit: 0 (user_pilots.py, line"),
+        ("cancelled", "the policy raised CancelledError: (user_pilots.py, line"),
+        ("end", "the policy raised Ended: (user_pilots.py, line"),
+        ("array exits", "the policy raised SystemExit: 3 (user_pilots.py, line"),
+        ("array divides", "the policy raised ZeroDivisionError: division by zero (user_pilots.py, line"),
+        ("shape", "rate in rad/s; return one action as [[vx, vy, vz, yaw_rate]]"),
+        ("words", "the policy returned 'str', not an array of numbers"),
+        ("nothing", "the policy returned None, not an array of numbers"),
+        ("complex", "not an array of numbers; expected (k, 4) float32, came complex128"),
+        ("numbers as text", "the policy returned 'list', not an array of numbers"),
+        ("yes and no", "the policy returned 'ndarray', not an array of numbers"),
+        ("text in an object", "the policy returned 'ndarray', not an array of numbers"),
+        ("too large", "not all of it is a finite number"),
+    ],
+)
+def test_whatever_a_policy_raises_or_returns_is_said_in_words(how, says):
+    with pytest.raises(PolicyError, match=re.escape(says)), calling("the policy"):
+        check_chunk(user_pilots.Faulty(how).misbehave(None))
 
 
 def test_a_run_in_which_every_episode_fails_is_written_and_ends_with_exit_code_1(tmp_path, capsys):
@@ -147,6 +156,6 @@ def test_a_policy_that_cannot_be_made_is_one_sentence_and_writes_nothing(tmp_pat
 
 def test_a_policy_that_needs_a_camera_that_looks_down_has_one_in_the_simulator(tmp_path):
     flown = evaluate(
-        "user_pilots:LooksDown", suite="open-v1:smoke", episodes=2, workers=0, out=tmp_path / "run", progress=False
+        "user_pilots:LooksDown", suite="open-v1:smoke", episodes=1, workers=0, out=tmp_path / "run", progress=False
     )
     assert flown.summary.overall.outcomes["policy_error"] == 0

@@ -55,23 +55,13 @@ def slow(handler):
     handler.answer(200, chat(ANSWER))
 
 
-def endless(handler):
-    handler.answer(200, chat("x" * 10_000_000))
-
-
 @pytest.mark.parametrize(
     ("script", "fault"),
     [
-        (Script(replies=[(500, b"<html>oops</html>")]), "http"),
-        (Script(replies=[(200, b"<html><body>a proxy</body></html>")]), "garbage"),
-        (Script(replies=[(200, chat('{"size": "big", "col'))]), "garbage"),
-        (Script(replies=[(200, chat('{"bounding_box": [1, 2, 3, 4]}'))]), "schema"),
         (Script(replies=[(200, chat("I'm sorry, but I can't help with flying drones."))]), "refusal"),
-        (Script(replies=[(200, chat('{"size": "big", "color": "purple", "shape": "round"}'))]), "no_such_gate"),
-        (Script(behave=endless), "too_long"),
         (Script(behave=slow), "timeout"),
     ],
-    ids=lambda value: value if isinstance(value, str) else "",
+    ids=["refusal", "timeout"],
 )
 def test_the_flight_goes_on_and_every_fault_is_counted(script, fault, tmp_path):
     stage, expected = flown(script, tmp_path, timeout=0.1 if fault == "timeout" else 60.0)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
+from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.reports.tables import comparison_table, results_table
 from cognitivedrone.benchmark.runs.runner import run
 from cognitivedrone.benchmark.scores.comparison import compare
@@ -124,8 +125,16 @@ def test_tables_fit_a_terminal_and_say_the_scores(two):
     assert "…" not in text
 
 
-def test_the_result_comes_first_in_a_sentence(two):
-    results = two[0]
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """Of a run that no test changes."""
+    plan = Plan.of(
+        policy="fake", suite="open-v1:smoke", episodes=20, workers=0, clips=0, out=tmp_path_factory.mktemp("run") / "a"
+    )
+    return run(plan, progress=False, runner=RUNNER)
+
+
+def test_the_result_comes_first_in_a_sentence(results):
     overall = results.summary().overall
     low, high = (f"{100 * limit:.0f}" for limit in overall.ci95)
     expected = " ".join(text_of(results_table(results)).partition("choice  pass|choice")[0].split())
@@ -138,8 +147,7 @@ def test_the_result_comes_first_in_a_sentence(two):
     assert "by the rule within_1m, " in " ".join(text_of(results_table(results, "within_1m")).split())
 
 
-def test_families_have_rows_from_ten_tasks_on(two):
-    results = two[0]
+def test_families_have_rows_from_ten_tasks_on(results):
     text = text_of(results_table(results))
     for family in results.summary().families:
         assert f"  {family.replace('_', ' ')} " not in text
@@ -174,12 +182,11 @@ def test_nothing_to_compare_is_reported(two):
     assert replace(comparison, overall=nothing).verdict == "no task counts in both runs, so they cannot be compared"
 
 
-def test_errors_of_the_policy_and_of_the_physics_stand_below_the_table(two):
-    a = two[0]
-    first, second, *rest = a.episodes
+def test_errors_of_the_policy_and_of_the_physics_stand_below_the_table(results):
+    first, second, *rest = results.episodes
     bad = replace(first, stages=(replace(first.stages[0], outcome="policy_error"),), message="not a finite number")
     lost = replace(second, stages=(replace(second.stages[0], outcome="invalid"),))
-    text = text_of(results_table(replace(a, episodes=(bad, lost, *rest))))
+    text = text_of(results_table(replace(results, episodes=(bad, lost, *rest))))
     assert "not counted: 1 invalid" in text
     assert "not a finite number" in " ".join(text.split())
 
@@ -198,8 +205,7 @@ def test_errors_of_the_policy_and_of_the_physics_stand_below_the_table(two):
         ("mine.json", 3, False),
     ],
 )
-def test_only_suites_like_the_papers_are_told_beside_it(two, suite, categories, reported):
-    results = two[0]
+def test_only_suites_like_the_papers_are_told_beside_it(results, suite, categories, reported):
     stages = [episode.stages[0] for episode in results.episodes[:3]]
     kinds = ["human_recognition", "symbol_understanding", "reasoning"][:categories]
     episodes = tuple(

@@ -112,14 +112,16 @@ def test_what_is_unknown_has_that_kind_and_nothing_else() -> None:
     assert len({image.tobytes() for image in images}) == 20
 
 
-def test_the_same_seed_draws_the_same_crops(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_same_seed_draws_the_same_crops_of_each_world(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_UNKNOWN", 0.0)
-    drawn = []
-    for seed in (3, 4, 3):
-        rng, made = np.random.default_rng(seed), PanelCrops(SIZE, INDEX.of)
-        drawn.append([part.tobytes() for _ in range(2) for part in made.draw(rng, 16)])
-    assert drawn[0] == drawn[2]
-    assert drawn[0] != drawn[1]
+
+    def drawn(seed: int, wider: WiderWorld | None) -> list[bytes]:
+        rng, made = np.random.default_rng(seed), PanelCrops(SIZE, INDEX.of, wider=wider)
+        return [part.tobytes() for _ in range(2) for part in made.draw(rng, 16)]
+
+    for wider in (None, WiderWorld()):
+        assert drawn(3, wider) == drawn(3, wider) != drawn(4, wider)
+    assert drawn(3, None) != drawn(3, WiderWorld())
 
 
 def test_attributes_are_those_of_the_label() -> None:

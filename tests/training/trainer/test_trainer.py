@@ -415,7 +415,14 @@ def test_a_buffer_tells_how_it_fills(start: Given) -> None:
     assert made[-1] == size
 
 
-@pytest.mark.parametrize("name", [name for name in ALL_RECIPES if name != "teach"])
+QUICK = ("debug", "race", "ablation-tokens", "debug-language", "debug-obstacles", "debug-selector", "reader", "flight")
+"""One of every kind; the others are larger, or have other settings of the same."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in ALL_RECIPES if name != "teach"],
+)
 def test_whatever_may_learn_gets_a_gradient(
     name: str, selector_checkpoint: Path, language_checkpoint: Path, policy_checkpoint: Path
 ) -> None:
