@@ -1,18 +1,62 @@
-"""A camera, a reasoner and a policy that tests can foresee."""
+"""A camera, a reasoner, a policy and a vehicle that tests can foresee."""
 
 from __future__ import annotations
 
+import io
 import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import ClassVar
+from pathlib import Path
+from typing import Any, ClassVar, TextIO
 
 import numpy as np
+import pyarrow.parquet as pq
+from rich.console import Console
 
+from cognitivedrone.apps.config import FlyPlan, SimPlan
+from cognitivedrone.apps.fly import fly_mission
 from cognitivedrone.apps.mjpeg import FrameServer
+from cognitivedrone.apps.orders import Orders
+from cognitivedrone.apps.values import Summary
+from cognitivedrone.apps.vehicle import Served, serve_vehicle
+from cognitivedrone.pilot import Pilot
 from cognitivedrone.policies.baselines import Hover
 from cognitivedrone.types import ActionChunk, EpisodeContext, Guidance, Image, Observation
+from cognitivedrone.vehicles.contract import Pace
+
+
+def quiet() -> Console:
+    return Console(file=io.StringIO(), width=100)
+
+
+def flown(
+    typed: str = "",
+    *,
+    keyboard: TextIO | None = None,
+    console: Console | None = None,
+    pace: Pace = "wall",
+    orders: Orders | None = None,
+    pilot: Pilot | None = None,
+    **options: Any,
+) -> Summary:
+    """A flight without a film by a plan's options, with a keyboard on which `typed` was typed."""
+    return fly_mission(
+        FlyPlan.of(film=False, **options),
+        console=console or quiet(),
+        keyboard=keyboard or io.StringIO(typed),
+        pace=pace,
+        orders=orders,
+        pilot=pilot,
+    )
+
+
+def events_of(out: Path) -> list[dict[str, Any]]:
+    return pq.read_table(out / "events.parquet").to_pylist()
+
+
+def steps_of(out: Path) -> dict[str, list[Any]]:
+    return pq.read_table(out / "steps.parquet").to_pydict()
 
 
 class Echo:
@@ -93,6 +137,25 @@ class LeavesThread(NeverCloses):
 
     def close(self) -> None:
         pass
+
+
+@contextmanager
+def served(config: SimPlan) -> Iterator[Served]:
+    """The simulated vehicle in a thread."""
+    stopping, ready, reported = threading.Event(), threading.Event(), list[Served]()
+
+    def announce(what: Served) -> None:
+        reported.append(what)
+        ready.set()
+
+    thread = threading.Thread(target=serve_vehicle, args=(config, stopping.is_set, announce))
+    thread.start()
+    try:
+        assert ready.wait(60)
+        yield reported[0]
+    finally:
+        stopping.set()
+        thread.join()
 
 
 GREY = np.full((256, 256, 3), 128, np.uint8)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import sys
 import threading
@@ -12,23 +11,17 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
-from rich.console import Console
 
-pytest.importorskip("pymavlink")
 pytest.importorskip("rosbags")
-sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles"))
-sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles" / "gazebo"))
 
+from app_fakes import flown, steps_of
 from fake_gazebo import MESSAGES, FakeGazebo
 from peer import playing
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from cognitivedrone.apps.bag import BagLog
-from cognitivedrone.apps.config import FlyPlan
-from cognitivedrone.apps.fly import fly_mission
 from cognitivedrone.apps.log import FlightLog
 from cognitivedrone.apps.values import Step
 from cognitivedrone.data.episode import decode_image
@@ -122,9 +115,8 @@ def test_a_full_disk_ends_the_bag_and_is_counted(tmp_path, monkeypatch):
 
 def test_without_rosbags_nothing_takes_off(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
-    config = FlyPlan.of(film=False, policy="hover", reasoner="none", record="mcap", out=tmp_path / "f")
     with pytest.raises(MissingExtra, match=r"cognitivedrone\[ros\]"):
-        fly_mission(config, console=Console(file=io.StringIO()), keyboard=io.StringIO())
+        flown(policy="hover", reasoner="none", record="mcap", out=tmp_path / "f")
     assert not (tmp_path / "f").exists()
 
 
@@ -150,17 +142,15 @@ def gazebo_with_camera(monkeypatch: pytest.MonkeyPatch) -> Iterator[FakeGazebo]:
 
 def test_a_vehicle_is_flown_by_the_camera_of_a_running_gazebo_and_recorded(tmp_path, monkeypatch):
     with gazebo_with_camera(monkeypatch) as gazebo, playing() as peer:
-        config = FlyPlan.of(
-        film=False,
-            instruction="go", link=f"mavlink:udpout:127.0.0.1:{peer.port}", camera=f"gazebo:{TOPIC}", policy="hover",
-            reasoner="none", out=tmp_path / "f", record="mcap", time_limit=0.5,
+        summary = flown(
+            "arm\n", instruction="go", link=f"mavlink:udpout:127.0.0.1:{peer.port}", camera=f"gazebo:{TOPIC}",
+            policy="hover", reasoner="none", out=tmp_path / "f", record="mcap", time_limit=0.5,
             i_understand_this_flies_a_real_drone=True,
         )  # fmt: skip
-        summary = fly_mission(config, console=Console(file=io.StringIO()), keyboard=io.StringIO("arm\n"))
         assert not any(gazebo.listeners.values())
     assert summary.ending.kind == "time"
     expected = read(tmp_path / "f" / "bag")
-    assert len(expected["/camera/image/compressed"]) == pq.read_table(tmp_path / "f" / "steps.parquet").num_rows > 2
+    assert len(expected["/camera/image/compressed"]) == len(steps_of(tmp_path / "f")["time_s"]) > 2
     seen = decode_image(bytes(expected["/camera/image/compressed"][-1][1].data))
     assert np.abs(seen.astype(int) - PICTURE).max() < 5
     assert expected["/instruction"][0][1].data == "go"

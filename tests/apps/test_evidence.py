@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import io
 import json
-import sys
-from pathlib import Path
 
 import pytest
-from rich.console import Console
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles"))
+from app_fakes import flown
 
 from cognitivedrone.apps.config import FlyPlan
-from cognitivedrone.apps.fly import fly_mission
 from cognitivedrone.apps.understanding.evidence import Evidence, taught_names
 from cognitivedrone.apps.understanding.request import Understanding
 from cognitivedrone.apps.understanding.scene import check_evidence, choose_scene, named_scene, plain_instruction
@@ -41,10 +35,6 @@ FOREIGN = (
     "atraviesa donde corre",
     "!!!",
 )
-
-
-def quiet() -> Console:
-    return Console(file=io.StringIO())
 
 
 @pytest.mark.parametrize("sentence", FOREIGN)
@@ -105,12 +95,11 @@ def test_nothing_takes_off_over_mavlink(tmp_path):
     from peer import playing
 
     with playing() as peer:
-        plan = FlyPlan.of(
-            film=False, instruction="飞过有猫的门", link=f"mavlink:udpout:127.0.0.1:{peer.port}", camera="nowhere",
-            policy="small", out=tmp_path / "f", i_understand_this_flies_a_real_drone=True,
-        )  # fmt: skip
         with pytest.raises(NotUnderstood, match="the pilot knows English") as refused:
-            fly_mission(plan, console=quiet(), keyboard=io.StringIO("arm\n"))
+            flown(
+                "arm\n", instruction="飞过有猫的门", link=f"mavlink:udpout:127.0.0.1:{peer.port}", camera="nowhere",
+                policy="small", out=tmp_path / "f", i_understand_this_flies_a_real_drone=True,
+            )  # fmt: skip
         assert not peer.received
     assert refused.value.exit_code == 3
     assert not (tmp_path / "f").exists()
@@ -121,7 +110,6 @@ def test_a_task_of_another_language_is_not_flown(tmp_path):
     text = json.dumps([task], ensure_ascii=False).replace(task["prompt"], "飞过有猫的门")
     file = tmp_path / "tasks.json"
     file.write_text(text, "utf-8")
-    plan = FlyPlan.of(film=False, tasks=file, episode=0, out=tmp_path / "f")
     with pytest.raises(NotUnderstood, match="'飞过有猫的门' has no word that the pilot knows; the pilot knows English"):
-        fly_mission(plan, console=quiet(), keyboard=io.StringIO())
+        flown(tasks=file, episode=0, out=tmp_path / "f")
     assert not (tmp_path / "f").exists()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
 import re
@@ -11,8 +10,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import av
@@ -20,22 +17,15 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import stuck_pilots
-from rich.console import Console
-
-pytest.importorskip("pymavlink")
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles"))
-
-from app_fakes import Typist, camera
+from app_fakes import Typist, camera, events_of, flown, quiet, served, steps_of
 from arducopters import free_instance, played_arducopter
 from peer import MODES, Peer, playing
 from pymavlink import mavutil
 from signals import LIMIT_S, press
 from waiting import soon
 
-from cognitivedrone.apps.config import FlyPlan, SimPlan
-from cognitivedrone.apps.fly import fly_mission
-from cognitivedrone.apps.vehicle import Served, serve_vehicle
+from cognitivedrone.apps.config import SimPlan
+from cognitivedrone.apps.vehicle import serve_vehicle
 from cognitivedrone.cli import main
 from cognitivedrone.errors import CognitiveDroneError, LinkError, PolicyError, RunError
 from cognitivedrone.sim.gate_monitor import GateEvent, judge
@@ -45,19 +35,6 @@ from cognitivedrone.vehicles.mavlink.session import FLAG
 
 EPISODE = 4
 """Of the smoke suite: the shortest flight."""
-
-
-def quiet() -> Console:
-    return Console(file=io.StringIO(), width=100)
-
-
-def nobody() -> io.StringIO:
-    """A keyboard that nobody types on."""
-    return io.StringIO()
-
-
-def commands(peer: Peer, *numbers: int) -> list[int]:
-    return [message.command for message in peer.of("COMMAND_LONG") if message.command in numbers]
 
 
 def test_a_flight_in_the_simulator_passes_a_gate_and_is_recorded(tmp_path, capsys):
@@ -70,7 +47,7 @@ def test_a_flight_in_the_simulator_passes_a_gate_and_is_recorded(tmp_path, capsy
     assert "passed: through gate" in expected
     task = load_suite("open-v1:smoke").tracks[EPISODE][0]
 
-    steps = pq.read_table(out / "steps.parquet").to_pydict()
+    steps = steps_of(out)
     about = json.loads((out / "flight.json").read_text())
     assert about["end"]["ending"] == "passed"
     assert about["end"]["frames_dropped"] == 0
@@ -86,7 +63,7 @@ def test_a_flight_in_the_simulator_passes_a_gate_and_is_recorded(tmp_path, capsy
     speed = np.linalg.norm([steps["vx_m_s"], steps["vy_m_s"], steps["vz_m_s"]], axis=0)
     assert flown == pytest.approx(np.trapezoid(speed, steps["time_s"]), rel=0.1)
 
-    events = pq.read_table(out / "events.parquet").to_pylist()
+    events = events_of(out)
     kinds = [event["kind"] for event in events]
     assert kinds[0] == "segment"
     assert kinds[-1] == "over"
@@ -104,24 +81,17 @@ def test_an_instruction_typed_in_flight_is_a_new_segment_and_asks_the_reasoner_a
     reading, writing = os.pipe()
     monkeypatch.setattr(Typist, "keyboard", writing)
     monkeypatch.setattr(Typist, "lines", {8: b"go to  blue\n", 16: b"LAND\n"})
-    config = FlyPlan.of(
-        film=False,
-        instruction="go to red",
-        policy="app_fakes:Typist",
-        reasoner="app_fakes:Echo",
-        out=tmp_path / "f",
-        time_limit=10,
-    )
+    pilot = {"policy": "app_fakes:Typist", "reasoner": "app_fakes:Echo"}
     with os.fdopen(reading) as keyboard:
-        summary = fly_mission(config, console=quiet(), keyboard=keyboard)
+        summary = flown(keyboard=keyboard, instruction="go to red", **pilot, out=tmp_path / "f", time_limit=10)
     os.close(writing)
     assert (summary.ending.kind, summary.exit_code) == ("ordered", 0)
-    events = pq.read_table(tmp_path / "f" / "events.parquet").to_pylist()
+    events = events_of(tmp_path / "f")
     segments = [event for event in events if event["kind"] == "segment"]
     # The pilot is told in plain words what was understood.
     assert [segment["text"] for segment in segments] == ["Fly through the red gate", "Fly through the blue gate"]
     asked = next(e for e in events if e["kind"] == "asked" and e["text"] == "Fly through the blue gate")
-    steps = pq.read_table(tmp_path / "f" / "steps.parquet").to_pydict()
+    steps = steps_of(tmp_path / "f")
     waited = [at for at in steps["time_s"] if segments[1]["time_s"] < at < asked["time_s"]]
     assert len(waited) < 4  # it is asked at every fifth step otherwise
     assert sorted(set(steps["segment"])) == [0, 1]
@@ -131,8 +101,7 @@ def test_an_instruction_typed_in_flight_is_a_new_segment_and_asks_the_reasoner_a
 
 
 def test_the_served_vehicle_says_how_to_connect():
-    config = SimPlan.of(mavlink=True, links=("udpout:127.0.0.1:14599", "udpin:127.0.0.1:0"))
-    with served(config) as vehicle:
+    with served(SimPlan.of(mavlink=True, links=("udpout:127.0.0.1:14599", "udpin:127.0.0.1:0"))) as vehicle:
         expected = str(vehicle).splitlines()
     assert vehicle.task.instruction in expected[0]
     assert expected[1].endswith("connect with --link mavlink:udp:127.0.0.1:14599")
@@ -152,26 +121,6 @@ def test_the_served_vehicle_says_how_to_connect():
 def test_what_cannot_be_served_is_reported(options, says):
     with pytest.raises(CognitiveDroneError, match=says):
         serve_vehicle(SimPlan.of(**options), lambda: True, lambda _: None)
-
-
-@contextmanager
-def served(config: SimPlan) -> Iterator[Served]:
-    """The simulated vehicle in a thread."""
-    stopping, reported = threading.Event(), list[Served]()
-    ready = threading.Event()
-
-    def announce(what: Served) -> None:
-        reported.append(what)
-        ready.set()
-
-    thread = threading.Thread(target=serve_vehicle, args=(config, stopping.is_set, announce))
-    thread.start()
-    try:
-        assert ready.wait(60)
-        yield reported[0]
-    finally:
-        stopping.set()
-        thread.join()
 
 
 @pytest.fixture
@@ -205,17 +154,15 @@ that tests on every core may keep the pilot waiting for longer than the default 
 @pytest.mark.slow  # the same flight as the next one, in this process and to its own end
 def test_on_a_vehicle_the_pilot_sees_by_itself_that_the_gate_is_passed(tmp_path, through):
     with served(SERVED) as vehicle:
-        config = FlyPlan.of(
-        film=False,
+        summary = flown(
             instruction=vehicle.task.directive, link="mavlink:tcp:" + vehicle.links[0].partition(":")[2],
             camera=vehicle.camera_url, policy="colour_seeker", reasoner="none", clock="vehicle", set_parameters=True,
             out=tmp_path / "f", policy_patience=PATIENCE,
         )  # fmt: skip
-        summary = fly_mission(config, console=quiet(), keyboard=nobody())
     assert (summary.ending.kind, summary.exit_code) == ("flown", 0), summary.ending.reason
     assert summary.ending.reason == "flew through a gate by its own estimate (not judged)"
     assert [event.gate for event in through if event.kind == "gate"][:1] == [vehicle.task.target]
-    events = pq.read_table(tmp_path / "f" / "events.parquet").to_pylist()
+    events = events_of(tmp_path / "f")
     assert [event["kind"] for event in events][-2:] == ["over", "landed"]
     log, setpoints = mavutil.mavlogfile(str(tmp_path / "f" / "flight.tlog")), []
     while (message := log.recv_match(type="SET_POSITION_TARGET_LOCAL_NED")) is not None:
@@ -248,7 +195,7 @@ def test_another_process_flies_the_served_vehicle_through_a_gate_and_ctrl_c_land
     assert through[0].gate == vehicle.task.target
     assert "interrupted: ctrl-C" in expected
     assert "landed" in expected
-    steps = pq.read_table(out / "steps.parquet").to_pydict()
+    steps = steps_of(out)
     assert set(steps["mode"]) == {"GUIDED"}
     assert np.median(steps["frame_age_s"]) < 1.0
     log, modes = mavutil.mavlogfile(str(out / "flight.tlog")), []
@@ -260,40 +207,32 @@ def test_another_process_flies_the_served_vehicle_through_a_gate_and_ctrl_c_land
 
 
 def test_what_is_not_inside_this_machine_is_not_even_talked_to(tmp_path):
-    config = FlyPlan.of(
-        film=False,
-        instruction="go",
-        link="mavlink:udp:10.0.0.1:14550",
-        camera="nowhere",
-        policy="hover",
-        reasoner="none",
-    )
     with pytest.raises(LinkError, match=f"may be a real drone.*{FLAG}"):
-        fly_mission(config, console=quiet(), keyboard=nobody())
+        flown(instruction="go", link="mavlink:udp:10.0.0.1:14550", camera="nowhere", policy="hover", reasoner="none")
     assert not list(tmp_path.iterdir())
 
 
-def vehicle(peer: Peer, url: str, out: Path, **options: object) -> FlyPlan:
+def vehicle(peer: Peer, url: str, out: Path) -> dict[str, object]:
+    """Options of a flight of it."""
     link = f"mavlink:udpout:127.0.0.1:{peer.port}"
-    return FlyPlan.of(
-        film=False, instruction="go", link=link, camera=url, policy="hover", reasoner="none", out=out, **options
-    )
+    return {"instruction": "go", "link": link, "camera": url, "policy": "hover", "reasoner": "none", "out": out}
+
+
+CONSENT = {"i_understand_this_flies_a_real_drone": True}
 
 
 def test_a_vehicle_that_may_be_real_is_refused_without_the_flag_and_without_the_word(tmp_path):
     with playing() as peer, camera() as url:
         with pytest.raises(LinkError, match=f"may be a real drone.*{FLAG}"):
-            fly_mission(vehicle(peer, url, tmp_path / "a"), console=quiet(), keyboard=io.StringIO("arm\n"))
-        consent = vehicle(peer, url, tmp_path / "b", i_understand_this_flies_a_real_drone=True)
-        console = quiet()
+            flown("arm\n", **vehicle(peer, url, tmp_path / "a"))
+        consent, console = vehicle(peer, url, tmp_path / "b") | CONSENT, quiet()
         for typed in ("", "yes\n"):
             with pytest.raises(LinkError, match="not confirmed"):
-                fly_mission(consent, console=console, keyboard=io.StringIO(typed))
+                flown(typed, console=console, **consent)
             (tmp_path / "b" / "flight.json").unlink()
-        by_its_own = consent.changed(clock="vehicle")
         with pytest.raises(LinkError, match="leave --clock vehicle out"):
-            fly_mission(by_its_own, console=quiet(), keyboard=io.StringIO("arm\n"))
-        assert commands(peer, 176, 400, 22) == []
+            flown("arm\n", clock="vehicle", **consent)
+        assert peer.orders(176, 400, 22) == []
     assert "propellers clear" in console.file.getvalue()
 
 
@@ -306,16 +245,15 @@ def take_over(peer: Peer) -> None:
 
 def test_the_pilot_ends_the_flight(tmp_path):
     with playing() as peer, camera() as url:
-        config = vehicle(peer, url, tmp_path / "f", i_understand_this_flies_a_real_drone=True)
         pilot = threading.Thread(target=take_over, args=(peer,))
         pilot.start()
-        summary = fly_mission(config, console=quiet(), keyboard=io.StringIO("arm\n"))
+        summary = flown("arm\n", **vehicle(peer, url, tmp_path / "f"), **CONSENT)
         pilot.join()
         peer.part.armed = False
         guard = re.search(r"process (\d+) stays until it is disarmed", summary.ending.reason)
         assert guard
         assert os.waitpid(int(guard[1]), 0)[1] == 0
-        assert commands(peer, 400) == [400]
+        assert len(peer.orders(400)) == 1
     assert (summary.ending.kind, summary.exit_code) == ("vehicle", 1)
     assert "LOITER" in summary.ending.reason
     about = json.loads((tmp_path / "f" / "flight.json").read_text())
@@ -346,19 +284,14 @@ def flight(peer: Peer, url: str, out: Path, policy: str = "hover", **options: ob
 
 @pytest.mark.parametrize(
     ("number", "climbing"),
-    [
-        (signal.SIGHUP, False),
-        (signal.SIGTERM, True),
-        pytest.param(signal.SIGHUP, True, marks=pytest.mark.slow),
-        pytest.param(signal.SIGTERM, False, marks=pytest.mark.slow),
-    ],
+    [(signal.SIGHUP, False), (signal.SIGTERM, True)],
 )
 def test_a_terminal_that_goes_away_and_a_request_to_terminate_land_and_leave_a_log(tmp_path, number, climbing):
     with playing(climbs=not climbing) as peer, camera() as url:
         process = flight(peer, url, tmp_path / "f")
         try:
             if climbing:
-                soon(lambda: any(c.command == 22 for c in peer.of("COMMAND_LONG")))
+                soon(lambda: peer.orders(22))
             else:
                 soon(lambda: len(peer.setpoints_since(0)) > 5)
             os.killpg(process.pid, number)
@@ -372,14 +305,11 @@ def test_a_terminal_that_goes_away_and_a_request_to_terminate_land_and_leave_a_l
     assert reason == ("the terminal has gone" if number == signal.SIGHUP else "asked to terminate")
 
 
-@pytest.mark.parametrize(
-    "policy", [pytest.param("app_fakes:Hangs", marks=pytest.mark.slow), "stuck_pilots:InForeignCode"]
-)
-def test_a_second_ctrl_c_ends_the_command_once_the_drone_is_down(tmp_path, policy, monkeypatch):
+def test_a_second_ctrl_c_ends_the_command_once_the_drone_is_down(tmp_path, monkeypatch):
     """Also where the policy is in foreign code: the rules of safety land, and then nothing is waited for."""
     monkeypatch.setenv(stuck_pilots.FILE, str(tmp_path / "stuck"))
     with playing() as peer, camera() as url:
-        process = flight(peer, url, tmp_path / "f", policy)
+        process = flight(peer, url, tmp_path / "f", "stuck_pilots:InForeignCode")
         try:
             soon(lambda: len(peer.setpoints_since(0)) > 5 or (tmp_path / "stuck").exists())
             press(process.pid)
@@ -416,41 +346,19 @@ def test_a_policy_that_hangs_does_not_keep_the_process_after_the_landing(tmp_pat
     assert pq.read_table(tmp_path / "f" / "steps.parquet").num_rows >= 3
 
 
-@pytest.mark.slow  # as the next one, until its time is over
-def test_arducopter_is_started_on_our_physics_and_flown(tmp_path):
-    binary = played_arducopter(tmp_path)
-    instance = free_instance()
-    config = FlyPlan.of(
-        film=False,
-        link="sitl", policy="hover", reasoner="oracle", sitl=binary, sitl_instance=instance, time_limit=1, episode=0,
-        out=tmp_path / "f", takeoff_height=0.5,
-    )  # fmt: skip
-    summary = fly_mission(config, console=quiet(), keyboard=nobody())
-    assert summary.ending.kind == "missed"
-    assert (tmp_path / "f" / "arducopter.log").read_text() == "parameters read\n"
-    steps = pq.read_table(tmp_path / "f" / "steps.parquet").to_pydict()
-    task = load_suite("open-v1:smoke").tracks[0][0]
-    assert steps["directive"][-1] == task.directive
-    assert set(steps["mode"]) == {"GUIDED"}
-    with av.open(str(tmp_path / "f" / "camera.mp4")) as film:
-        assert np.ptp(next(film.decode(video=0)).to_ndarray(format="rgb24")) > 100
-
-
 def test_the_right_gate_ends_a_flight_of_arducopter_and_lands_it(tmp_path):
-    config = FlyPlan.of(
-        film=False,
+    summary = flown(
         link="sitl", policy="oracle", reasoner="none", sitl=played_arducopter(tmp_path), airframe="iris",
         sitl_instance=free_instance(), suite="open-v1:smoke", episode=EPISODE, takeoff_height=0.8, out=tmp_path / "f",
     )  # fmt: skip
-    summary = fly_mission(config, console=quiet(), keyboard=nobody())
     target = load_suite("open-v1:smoke").tracks[EPISODE][0].target
     assert (summary.ending.kind, summary.exit_code) == ("passed", 0)
     assert (tmp_path / "f" / "arducopter.log").read_text() == "parameters read\n"
-    assert set(pq.read_table(tmp_path / "f" / "steps.parquet").to_pydict()["mode"]) == {"GUIDED"}
+    assert set(steps_of(tmp_path / "f")["mode"]) == {"GUIDED"}
     with av.open(str(tmp_path / "f" / "camera.mp4")) as film:
         assert np.ptp(next(film.decode(video=0)).to_ndarray(format="rgb24")) > 100
     assert summary.ending.reason.startswith(f"through gate {target + 1}, after ")
-    events = pq.read_table(tmp_path / "f" / "events.parquet").to_pylist()
+    events = events_of(tmp_path / "f")
     assert [event["kind"] for event in events][-2:] == ["over", "landed"]
     assert events[-2]["time_s"] < 30
 
@@ -477,46 +385,33 @@ def test_a_mistake_is_reported_in_one_sentence_before_anything_is_written(tmp_pa
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("ARDUCOPTER", raising=False)
     with pytest.raises(CognitiveDroneError, match=says):
-        fly_mission(
-            FlyPlan.of(film=False, policy="hover", reasoner="none", **options), console=quiet(), keyboard=nobody()
-        )
+        flown(policy="hover", reasoner="none", **options)
     assert not (tmp_path / "flights").exists()
 
 
 def test_who_must_know_the_truth_flies_only_where_it_is_known(tmp_path):
     with playing() as peer, camera() as url:
-        config = FlyPlan.of(
-        film=False,
-            instruction="go", link=f"mavlink:udpout:127.0.0.1:{peer.port}", camera=url,
-            policy="oracle", reasoner="none", out=tmp_path / "f", i_understand_this_flies_a_real_drone=True,
-        )  # fmt: skip
         with pytest.raises(PolicyError, match="this policy uses privileged state"):
-            fly_mission(config, console=quiet(), keyboard=io.StringIO("arm\n"))
-        assert commands(peer, 400) == []
+            flown("arm\n", **vehicle(peer, url, tmp_path / "f") | CONSENT | {"policy": "oracle"})
+        assert peer.orders(400) == []
 
 
 def test_a_log_is_never_written_over(tmp_path):
     (tmp_path / "flight.json").write_text("{}")
     with pytest.raises(RunError, match="already contains a flight"):
-        fly_mission(
-            FlyPlan.of(film=False, policy="hover", reasoner="none", out=tmp_path), console=quiet(), keyboard=nobody()
-        )
+        flown(policy="hover", reasoner="none", out=tmp_path)
 
 
 def test_a_log_that_cannot_be_written_is_refused_before_the_pilot_is_loaded(tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(RunError, match="file is a file; give a folder with --out"):
-        fly_mission(
-            FlyPlan.of(film=False, policy="no_such_module:Pilot", out=tmp_path / "file"),
-            console=quiet(), keyboard=nobody(),
-        )  # fmt: skip
+        flown(policy="no_such_module:Pilot", out=tmp_path / "file")
     assert (tmp_path / "file").read_text() == "mine"
 
 
 def test_a_policy_that_fails_ends_the_flight_and_leaves_a_log(tmp_path):
-    config = FlyPlan.of(film=False, policy="app_fakes:Broken", reasoner="none", out=tmp_path / "f")
     with pytest.raises(PolicyError, match="not all of it is a finite number"):
-        fly_mission(config, console=quiet(), keyboard=nobody())
+        flown(policy="app_fakes:Broken", reasoner="none", out=tmp_path / "f")
     about = json.loads((tmp_path / "f" / "flight.json").read_text())
     assert "finite" in about["end"]["error"]
     assert pq.read_table(tmp_path / "f" / "steps.parquet").num_rows == 2

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import io
-
-import pyarrow.parquet as pq
 import pytest
+from app_fakes import events_of, flown, steps_of
 
-from cognitivedrone.apps.config import FlyPlan
-from cognitivedrone.apps.fly import fly_mission
 from cognitivedrone.apps.orders import Orders
 from cognitivedrone.errors import NotUnderstood, ReasonerError
 from cognitivedrone.interfaces import Reasoner
@@ -17,18 +13,16 @@ from cognitivedrone.play.board import goals_of, goals_table
 from cognitivedrone.policies import make_policy
 from cognitivedrone.tasks.directives import parse_directive
 from cognitivedrone.tasks.missions import sub_goals
-from cognitivedrone.terminal import console
 from cognitivedrone.types import SubGoal
 
 
-def flown(sentence, out, **changes):
-    plan = FlyPlan.of(instruction=sentence, out=out, film=False, view=False, **changes)
-    return fly_mission(plan, console=console(file=io.StringIO()), keyboard=io.StringIO(), pace="lockstep")
+def flying(sentence, out, **changes):
+    return flown(pace="lockstep", instruction=sentence, out=out, **changes)
 
 
 def test_a_mission_is_flown_part_after_part_and_lands_on_its_pad(tmp_path):
     sentence = "first the elephant, then the number 7, then land on the green pad"
-    summary = flown(sentence, tmp_path / "out")
+    summary = flying(sentence, tmp_path / "out")
     assert summary.ending.kind == "passed"
     assert "landed on the green pad" in summary.ending.reason
     assert [result.outcome for result in summary.results] == ["passed"] * 3
@@ -48,7 +42,7 @@ def test_a_mission_is_flown_part_after_part_and_lands_on_its_pad(tmp_path):
 )
 def test_what_cannot_be_flown_is_reported_before_take_off(tmp_path, sentence, says):
     with pytest.raises(NotUnderstood, match=says):
-        flown(sentence, tmp_path / "out")
+        flying(sentence, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
@@ -62,7 +56,7 @@ def test_a_scene_is_made_that_is_read_at_every_stage_and_from_nearer_too(tmp_pat
         return {"0": 0.6 if nearer else 0.9, "1": 0.9, "100": 0.9, "101": 0.2, "2": 0.9, "102": 0.8}[attempt]
 
     monkeypatch.setattr("cognitivedrone.apps.fly.certainty", certainty)
-    summary = flown(sentence, tmp_path / "out", time_limit=0.3)
+    summary = flying(sentence, tmp_path / "out", time_limit=0.3)
     assert [task.id.split("-")[1] for task in summary.track[:2]] == ["2", "102"]
     assert [attempt for attempt, _, _ in looked] == ["0", "0", "1", "1", "101", "2", "2", "102", "102"]
     first, second = looked[:2]
@@ -87,10 +81,7 @@ class Typed(Orders):
 
 
 def test_a_landing_that_is_typed_where_there_is_no_pad_ends_the_flight_there(tmp_path):
-    plan = FlyPlan.of(instruction="the elephant", out=tmp_path / "out", film=False, view=False)
-    quiet = console(file=io.StringIO())
-    orders = Typed(at_10="land on the red pad, please")
-    summary = fly_mission(plan, console=quiet, keyboard=io.StringIO(), pace="lockstep", orders=orders)
+    summary = flying("the elephant", tmp_path / "out", orders=Typed(at_10="land on the red pad, please"))
     assert (summary.ending.kind, summary.exit_code) == ("ordered", 0)
     assert "there is no pad here" in summary.ending.reason
     assert summary.seconds < 1.5
@@ -100,18 +91,15 @@ def test_a_landing_that_is_typed_where_there_is_no_pad_ends_the_flight_there(tmp
     "corrections", [{"at_15": "no, the other one"}, {"at_12": "wrong one!", "at_24": "not that one"}]
 )
 def test_another_gate_is_flown_through_when_a_person_says_so(tmp_path, corrections):
-    plan = FlyPlan.of(instruction="the elephant", out=tmp_path / "out", film=False, view=False)
-    quiet = console(file=io.StringIO())
-    orders = Typed(**corrections)
-    summary = fly_mission(plan, console=quiet, keyboard=io.StringIO(), pace="lockstep", orders=orders)
+    summary = flying("the elephant", tmp_path / "out", orders=Typed(**corrections))
     (result,), (task,) = summary.results, summary.track
     assert (result.outcome, summary.ending.kind) == ("wrong_gate", "flown")
     assert "you judge" in summary.ending.reason
-    given = pq.read_table(tmp_path / "out" / "steps.parquet").to_pydict()["directive"]
+    given = steps_of(tmp_path / "out")["directive"]
     first, *others = dict.fromkeys(parse_directive(directive)[1] for directive in given if directive)
     assert first == task.gates[task.target].color
     assert len(others) >= len(corrections)  # nothing fits them well
-    events = pq.read_table(tmp_path / "out" / "events.parquet").to_pylist()
+    events = events_of(tmp_path / "out")
     kinds = [event["kind"] for event in events]
     assert kinds.count("segment") == 1
     assert kinds.count("corrected") == len(corrections)
@@ -127,29 +115,21 @@ def test_another_gate_is_flown_through_when_a_person_says_so(tmp_path, correctio
     ],
 )
 def test_before_the_reasoner_has_answered_there_is_no_gate_to_correct(tmp_path, lines):
-    plan = FlyPlan.of(instruction="the elephant", out=tmp_path / "out", film=False, view=False)
-    orders = Typed(**lines)
-    summary = fly_mission(
-        plan, console=console(file=io.StringIO()), keyboard=io.StringIO(), pace="lockstep", orders=orders
-    )
-    (result,) = summary.results
+    (result,) = flying("the elephant", tmp_path / "out", orders=Typed(**lines)).results
     assert result.outcome == "passed"
-    events = pq.read_table(tmp_path / "out" / "events.parquet").to_pylist()
+    events = events_of(tmp_path / "out")
     assert "corrected" not in [event["kind"] for event in events]
     said = {event["text"] for event in events if event["kind"] == "segment"}
     assert "no, the other one" not in said
 
 
-def test_a_real_vehicle_does_not_land_on_pads(tmp_path):
+@pytest.mark.parametrize(
+    "link",
+    [{"link": "mavlink:udp:127.0.0.1:1", "camera": "http://127.0.0.1:1/"}, {"link": "sitl", "airframe": "iris"}],
+)
+def test_neither_a_real_vehicle_nor_ardupilot_in_the_loop_lands_on_pads(tmp_path, link):
     with pytest.raises(NotUnderstood, match="with --link sim only"):
-        flown(
-            "the dog, then land on red", tmp_path / "out", link="mavlink:udp:127.0.0.1:1", camera="http://127.0.0.1:1/"
-        )
-
-
-def test_ardupilot_in_the_loop_does_not_land_on_pads_either(tmp_path):
-    with pytest.raises(NotUnderstood, match="with --link sim only"):
-        flown("the dog, then land on red", tmp_path / "out", link="sitl", airframe="iris")
+        flying("the dog, then land on red", tmp_path / "out", **link)
 
 
 class Planner(Reasoner):
@@ -170,13 +150,9 @@ class Planner(Reasoner):
 
 def planned(sentence, out, *goals):
     """The flight, and the sentences that the reasoner was asked about."""
-    plan = FlyPlan.of(instruction=sentence, out=out, film=False, view=False, hold_below=0, time_limit=30)
     reasoner = Planner(*goals)
-    summary = fly_mission(
-        plan, console=console(file=io.StringIO()), keyboard=io.StringIO(), pace="lockstep",
-        pilot=Pilot(make_policy("oracle"), reasoner),
-    )  # fmt: skip
-    return summary, reasoner.asked
+    pilot = Pilot(make_policy("oracle"), reasoner)
+    return flying(sentence, out, pilot=pilot, hold_below=0, time_limit=30), reasoner.asked
 
 
 def test_the_reasoners_own_plan_is_flown(tmp_path):

@@ -7,7 +7,6 @@ import json
 import os
 import pty
 import signal
-import sys
 import termios
 from dataclasses import replace
 from pathlib import Path
@@ -16,11 +15,8 @@ import av
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from rich.console import Console
-
-sys.path.insert(0, str(Path(__file__).parent))
-
 from app_fakes import camera
+from rich.console import Console
 from waiting import soon
 
 from cognitivedrone.apps.config import FlyPlan
@@ -123,32 +119,32 @@ def test_the_view_says_what_is_not_known_and_forgets_old_events():
     assert f"answer {EVENTS_SHOWN}" in text
 
 
-def test_without_a_terminal_there_is_a_line_for_each_event_that_matters():
+def printed(*events: Event) -> list[str]:
+    """The lines where there is no terminal."""
     console = Console(record=True, width=40, file=open(os.devnull, "w"))  # noqa: PTH123, SIM115
     printer = Printer(console)
     with console.file:
-        printer.event(Event(1.0, "segment", "[red]go[/red] " + "far " * 20))
-        printer.event(Event(1.1, "asked", "quiet"))
-        printer.event(Event(2.0, "guard", "brake: why", 0.5))
-    assert console.export_text().splitlines() == [
+        for event in events:
+            printer.event(event)
+    return console.export_text().splitlines()
+
+
+def test_without_a_terminal_there_is_a_line_for_each_event_that_matters():
+    far = Event(1.0, "segment", "[red]go[/red] " + "far " * 20)
+    assert printed(far, Event(1.1, "asked", "quiet"), Event(2.0, "guard", "brake: why", 0.5)) == [
         "   1.0 s  segment   [red]go[/red] " + "far " * 20, "   2.0 s  guard     brake: why (500 ms)"
     ]  # fmt: skip
 
 
 def test_without_a_terminal_an_answer_is_a_line_only_when_it_changes():
-    console = Console(record=True, width=40, file=open(os.devnull, "w"))  # noqa: PTH123, SIM115
-    printer = Printer(console)
     events: tuple[tuple[float, EventKind, str], ...] = (
         (0.0, "segment", "to the cat"), (0.1, "unsure", "I see a dog"), (0.6, "unsure", "I see a dog"),
         (0.7, "hold", "hovering"), (1.1, "unsure", "I see a dog"), (1.6, "unsure", "I see a cat"),
         (2.1, "adopted", "Fly left"), (2.6, "unsure", "I see a cat"), (3.0, "segment", "to the cat"),
         (3.0, "segment", "to the cat"), (3.1, "unsure", "I see a cat"),
     )  # fmt: skip
-    with console.file:
-        for time_s, kind, output in events:
-            printer.event(Event(time_s, kind, output, time_s / 100))
-    times = [line.split()[0] for line in console.export_text().splitlines()]
-    assert times == ["0.0", "0.1", "0.7", "1.6", "2.1", "2.6", "3.0", "3.0", "3.1"]
+    lines = printed(*(Event(time_s, kind, output, time_s / 100) for time_s, kind, output in events))
+    assert [line.split()[0] for line in lines] == ["0.0", "0.1", "0.7", "1.6", "2.1", "2.6", "3.0", "3.0", "3.1"]
 
 
 def test_the_summary_leaves_out_who_never_thought():

@@ -5,24 +5,16 @@ from __future__ import annotations
 import io
 import json
 import os
-import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
-from PIL import Image
-from rich.console import Console
-
-pytest.importorskip("pymavlink")
-sys.path.insert(0, str(Path(__file__).parent))
-sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles"))
-
-from app_fakes import Eager, camera
+from app_fakes import Eager, camera, events_of, flown, quiet, steps_of
 from peer import playing
+from PIL import Image
 
 from cognitivedrone.apps.config import FlyPlan, SimPlan
-from cognitivedrone.apps.fly import fly_mission
 from cognitivedrone.apps.orders import Orders
 from cognitivedrone.apps.understanding.scene import choose_scene
 from cognitivedrone.apps.vehicle import serve_vehicle
@@ -38,10 +30,6 @@ EPISODE = 4
 SMOKE = load_suite("open-v1:smoke")
 
 
-def quiet() -> Console:
-    return Console(file=io.StringIO(), width=100)
-
-
 def made(words: str, **options: object) -> tuple[Task, str, str]:
     """The task of the scene for an instruction, what the user is told, and what the pilot is."""
     scene = choose_scene(FlyPlan.of(film=False, instruction=words, **options))
@@ -50,9 +38,7 @@ def made(words: str, **options: object) -> tuple[Task, str, str]:
 
 def test_without_a_word_the_packaged_pilot_flies_a_scene_that_it_is_sure_of(tmp_path):
     console = quiet()
-    summary = fly_mission(
-        FlyPlan.of(film=False, out=tmp_path / "f"), console=console, keyboard=io.StringIO(), pace="lockstep"
-    )
+    summary = flown(console=console, pace="lockstep", out=tmp_path / "f")
     assert (summary.ending.kind, summary.exit_code) == ("passed", 0), summary.ending.reason
     assert "scene: episode 27 of open-v1:smoke, with helicopter, sailboat and car" in console.file.getvalue()
     assert "hold" not in events(tmp_path / "f")
@@ -143,14 +129,13 @@ def test_at_a_terminal_it_is_asked_again(tmp_path):
             return True
 
     console = quiet()
-    config = FlyPlan.of(
-        film=False, instruction="glorp", policy="hover", reasoner="none", out=tmp_path / "f", time_limit=0.2
-    )
-    fly_mission(config, console=console, keyboard=Terminal("the frobnitz\nthe dog\n"), pace="lockstep")
+    asked: dict[str, Any] = {"instruction": "glorp", "policy": "hover", "reasoner": "none", "pace": "lockstep"}
+    keyboard = Terminal("the frobnitz\nthe dog\n")
+    flown(console=console, keyboard=keyboard, **asked, out=tmp_path / "f", time_limit=0.2)
     assert console.file.getvalue().count("say it in other words; an empty line ends:") == 2
     assert "understood as 'the gate with the dog'" in console.file.getvalue()
     with pytest.raises(NotUnderstood, match="'glorp'"):
-        fly_mission(config.changed(out=tmp_path / "g"), console=quiet(), keyboard=Terminal("\n"))
+        flown(keyboard=Terminal("\n"), **asked, out=tmp_path / "g")
 
 
 def test_the_pictures_of_a_folder_are_shown(tmp_path):
@@ -169,11 +154,7 @@ def test_the_pictures_of_a_folder_are_shown(tmp_path):
 
 
 def test_a_made_scene_is_one_that_the_pilot_reads_and_flies(tmp_path):
-    console = quiet()
-    summary = fly_mission(
-        FlyPlan.of(film=False, instruction="pls fly to teh elefant :)", out=tmp_path / "f"), console=console,
-        keyboard=io.StringIO(), pace="lockstep",
-    )  # fmt: skip
+    summary = flown(pace="lockstep", instruction="pls fly to teh elefant :)", out=tmp_path / "f")
     assert (summary.ending.kind, summary.exit_code) == ("passed", 0), summary.ending.reason
     assert "elephant" in summary.track[0].labels[summary.results[0].chosen]
 
@@ -192,10 +173,7 @@ class Said(Orders):
 
 
 def test_what_is_not_understood_in_flight_is_declined_within_three_seconds(tmp_path):
-    summary = fly_mission(
-        FlyPlan.of(film=False, instruction="the elephant", out=tmp_path / "f"), console=quiet(), keyboard=io.StringIO(),
-        orders=Said(), pace="lockstep",
-    )  # fmt: skip
+    summary = flown(pace="lockstep", orders=Said(), instruction="the elephant", out=tmp_path / "f")
     assert "'glorp the frobnitz' was not understood" in summary.ending.reason
     assert summary.results[0].outcome == "false_alarm"
     assert summary.seconds < 1.0 + 3.3
@@ -222,23 +200,17 @@ def test_tasks_and_labels_of_ones_own_are_flown(tmp_path):
         Image.new("RGB", (64, 64), (10, 200, 30)).save(tmp_path / "Mine" / f"{name}.png")
     task = _published("Go to beta", ["alpha", "beta", "gamma"])
     (tmp_path / "Mine.json").write_text(json.dumps([task]))
-    config = FlyPlan.of(
-       film=False,
-        instruction="Go to beta", tasks=tmp_path / "Mine.json", labels=tmp_path, policy="hover", reasoner="none",
-        out=tmp_path / "f", time_limit=0.2,
+    console, tasks = quiet(), {"tasks": tmp_path / "Mine.json", "policy": "hover", "reasoner": "none"}
+    flown(
+        console=console, pace="lockstep", instruction="Go to beta", **tasks, labels=tmp_path, out=tmp_path / "f",
+        time_limit=0.2,
     )  # fmt: skip
-    console = quiet()
-    fly_mission(config, console=console, keyboard=io.StringIO(), pace="lockstep")
     assert "with alpha, beta and gamma from left to right" in console.file.getvalue()
     assert "'beta' fits gate 2, beta" in console.file.getvalue()
     about = json.loads((tmp_path / "f" / "flight.json").read_text())
     assert about["scene"]["suite"] == "Mine.json"
     with pytest.raises(LabelError, match="Mine/alpha"):
-        fly_mission(
-            FlyPlan.of(film=False, tasks=tmp_path / "Mine.json", policy="hover", reasoner="none", out=tmp_path / "g"),
-            console=quiet(),
-            keyboard=io.StringIO(),
-        )
+        flown(**tasks, out=tmp_path / "g")
     served = []
     sim = SimPlan.of(mavlink=True, tasks=tmp_path / "Mine.json", labels=tmp_path, links=("udpin:127.0.0.1:0",))
     serve_vehicle(sim, lambda: True, served.append)
@@ -254,24 +226,22 @@ def _published(prompt: str, options: list[str]) -> dict[str, object]:
     }  # fmt: skip
 
 
+DOUBTFUL: dict[str, Any] = {"instruction": "to the bird", "policy": "app_fakes:Eager", "reasoner": "app_fakes:Doubtful"}
+
+
 def sent(out: Path) -> np.ndarray:
-    steps = pq.read_table(out / "steps.parquet").to_pydict()
+    steps = steps_of(out)
     return np.array([steps[f"sent_{name}"] for name in ("vx_m_s", "vy_m_s", "vz_m_s", "yaw_rate_rad_s")]).T
 
 
 def events(out: Path) -> dict[str, dict[str, object]]:
     """The last event of each kind."""
-    return {event["kind"]: event for event in pq.read_table(out / "events.parquet").to_pylist()}
+    return {event["kind"]: event for event in events_of(out)}
 
 
 def test_in_doubt_it_looks_from_nearer_until_the_time_is_over_and_says_so(tmp_path):
     console = quiet()
-    config = FlyPlan.of(
-       film=False,
-        instruction="to the bird", policy="app_fakes:Eager", reasoner="app_fakes:Doubtful", out=tmp_path / "f",
-        time_limit=1.6, suite="open-v1:smoke", episode=0,
-    )  # fmt: skip
-    summary = fly_mission(config, console=console, keyboard=io.StringIO(), pace="lockstep")
+    summary = flown(console=console, pace="lockstep", **DOUBTFUL, out=tmp_path / "f", time_limit=1.6, episode=0)
     assert (summary.ending.kind, summary.exit_code) == ("unsure", 1)
     assert summary.ending.reason == (
         "the time limit of 1.6 s is over; it hovered, only 20% sure that the scene shows what is asked for"
@@ -279,7 +249,7 @@ def test_in_doubt_it_looks_from_nearer_until_the_time_is_over_and_says_so(tmp_pa
     begun = events(tmp_path / "f")["hold"]
     assert begun["text"] == "hovering, 20% sure that the scene shows what is asked for"
     assert f"hold      {begun['text']}" in console.file.getvalue()
-    times = pq.read_table(tmp_path / "f" / "steps.parquet").to_pydict()["time_s"]
+    times = steps_of(tmp_path / "f")["time_s"]
     held = np.array(times) >= begun["time_s"]
     assert held.sum() > 5
     assert (sent(tmp_path / "f")[held, 0] > 0.5).all()
@@ -289,13 +259,8 @@ def test_another_instruction_ends_the_hovering(tmp_path, monkeypatch):
     reading, writing = os.pipe()
     monkeypatch.setattr(Eager, "keyboard", writing)
     monkeypatch.setattr(Eager, "lines", {14: b"to the cat\n"})
-    config = FlyPlan.of(
-       film=False,
-        instruction="to the bird", policy="app_fakes:Eager", reasoner="app_fakes:Doubtful", out=tmp_path / "f",
-        time_limit=2.5, suite="open-v1:smoke", episode=0,
-    )  # fmt: skip
     with os.fdopen(reading) as keyboard:
-        summary = fly_mission(config, console=quiet(), keyboard=keyboard)
+        summary = flown(keyboard=keyboard, **DOUBTFUL, out=tmp_path / "f", time_limit=2.5, episode=0)
     os.close(writing)
     assert summary.ending.kind == "missed"
     seen = events(tmp_path / "f")
@@ -306,40 +271,28 @@ def test_another_instruction_ends_the_hovering(tmp_path, monkeypatch):
 
 def test_on_a_vehicle_doubt_is_zero_velocity_as_well(tmp_path):
     with playing() as peer, camera() as url:
-        config = FlyPlan.of(
-       film=False,
-            instruction="to the bird", link=f"mavlink:udpout:127.0.0.1:{peer.port}", camera=url, out=tmp_path / "f",
-            time_limit=1.6,
-            policy="app_fakes:Eager", reasoner="app_fakes:Doubtful", i_understand_this_flies_a_real_drone=True,
+        summary = flown(
+            "arm\n", **DOUBTFUL, link=f"mavlink:udpout:127.0.0.1:{peer.port}", camera=url, out=tmp_path / "f",
+            time_limit=1.6, i_understand_this_flies_a_real_drone=True,
         )  # fmt: skip
-        summary = fly_mission(config, console=quiet(), keyboard=io.StringIO("arm\n"))
     assert (summary.ending.kind, summary.exit_code) == ("unsure", 1)
     assert (sent(tmp_path / "f")[-5:] == 0).all()
 
 
 def test_never_hovering_is_an_option(tmp_path):
-    config = FlyPlan.of(
-       film=False,
-        instruction="to the bird", policy="app_fakes:Eager", reasoner="app_fakes:Doubtful", out=tmp_path / "f",
-        time_limit=1.6, episode=0, hold_below=0.0,
-    )  # fmt: skip
-    assert fly_mission(config, console=quiet(), keyboard=io.StringIO(), pace="lockstep").ending.kind == "missed"
+    summary = flown(pace="lockstep", **DOUBTFUL, out=tmp_path / "f", time_limit=1.6, episode=0, hold_below=0.0)
+    assert summary.ending.kind == "missed"
     assert "hold" not in events(tmp_path / "f")
     with pytest.raises(UsageError, match="--hold-below is 2"):
         FlyPlan.of(film=False, hold_below=2)
 
 
-def flown(capsys: pytest.CaptureFixture[str], out: Path, *words: str) -> tuple[int, str]:
-    arguments = ["--policy", "colour_seeker", "--reasoner", "oracle", "--episode", str(EPISODE), "--out", str(out)]
-    with pytest.raises(SystemExit) as end:
-        main(["fly", *words, *arguments])
-    return int(end.value.code or 0), capsys.readouterr().out
-
-
 def test_a_flight_that_nobody_can_judge_says_so(tmp_path, capsys):
-    code, output = flown(capsys, tmp_path / "f", "Fly wherever you like")
-    task = SMOKE.tracks[EPISODE][0]
-    assert code == 0
+    words = ["Fly wherever you like", "--policy", "colour_seeker", "--reasoner", "oracle", "--episode", str(EPISODE)]
+    with pytest.raises(SystemExit) as end:
+        main(["fly", *words, "--out", str(tmp_path / "f")])
+    output, task = capsys.readouterr().out, SMOKE.tracks[EPISODE][0]
+    assert end.value.code == 0
     assert f"ended  flew through gate {task.target + 1} ({task.options[task.target]}; you judge), after" in output
     assert f"film{tmp_path}/f/flight.mp4" in "".join(output.split())
     page = (tmp_path / "f" / "flight.html").read_text()
@@ -347,7 +300,7 @@ def test_a_flight_that_nobody_can_judge_says_so(tmp_path, capsys):
     assert "Fly wherever you like" in page
     shown = list(read_mp4(tmp_path / "f" / "flight.mp4"))
     seen = list(read_mp4(tmp_path / "f" / "camera.mp4"))
-    times = pq.read_table(tmp_path / "f" / "steps.parquet")["time_s"].to_pylist()
+    times = steps_of(tmp_path / "f")["time_s"]
     assert len(seen) == len(times)
     assert len(shown) / FPS == pytest.approx(times[-1] - times[0] + 1 / CONTROL_HZ + END_S, abs=0.2)
     shrunk = np.asarray(Image.fromarray(seen[0]).resize((512, 512)), float)
@@ -357,11 +310,9 @@ def test_a_flight_that_nobody_can_judge_says_so(tmp_path, capsys):
 
 
 def test_the_scenes_own_instruction_is_judged_also_when_it_is_typed(tmp_path):
-    plan = FlyPlan.of(
-        film=False, instruction=SMOKE.tracks[EPISODE][0].instruction.upper(), policy="colour_seeker", reasoner="oracle",
-        episode=EPISODE, out=tmp_path / "f",
-    )  # fmt: skip
-    summary = fly_mission(plan, console=quiet(), keyboard=io.StringIO(), pace="lockstep")
+    typed = SMOKE.tracks[EPISODE][0].instruction.upper()
+    pilot = {"policy": "colour_seeker", "reasoner": "oracle"}
+    summary = flown(pace="lockstep", instruction=typed, **pilot, episode=EPISODE, out=tmp_path / "f")
     assert (summary.ending.kind, summary.exit_code) == ("passed", 0)
     assert summary.ending.reason.startswith("through gate ")
 

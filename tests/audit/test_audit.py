@@ -45,22 +45,6 @@ def test_a_pilot_that_knows_the_answer_is_found_out_by_the_missing_question(tmp_
     assert (plan.out / "baseline" / "episodes.jsonl").stat().st_mtime_ns == before
 
 
-def test_a_pilot_that_hovers_gives_nothing_away(tmp_path, monkeypatch):
-    monkeypatch.setattr(run_module, "FEWEST_FLIGHTS", 1)
-    rows = audit(plan_of(tmp_path, "no question", policy="hover", episodes=1), progress=False)
-    assert all(row.chosen == (0, 0, 0, 1) for row in rows)
-    assert all(row.outcomes == {"timeout": 1} for row in rows)
-    assert all(row.sound for row in rows)
-    assert rows[1].rate is None
-
-
-def test_too_few_flights_are_neither_sound_nor_not(tmp_path):
-    plan = plan_of(tmp_path, "mirrored stage", policy="hover", episodes=1)
-    assert [row.sound for row in audit(plan, progress=False)] == [None, None]
-    document = json.loads((plan.out / "audit.json").read_text())
-    assert [row["sound"] for row in document["rows"]] == [None, None]
-
-
 @pytest.mark.parametrize(
     ("expected", "right", "n", "sound"),
     [
@@ -82,6 +66,13 @@ def test_what_a_row_must_reach(expected, right, n, sound):
 
 def stage(task_id, chosen, outcome="passed"):
     return StageResult(task_id, "reasoning", "food", 0, outcome, chosen, 5.0, 6.0, None, None, None)
+
+
+def test_a_pilot_that_hovers_gives_nothing_away(monkeypatch):
+    monkeypatch.setattr(run_module, "FEWEST_FLIGHTS", 1)
+    (question,) = (each for each in AUDITS if each.name == "no question")
+    row = run_module._row(question, question.variants[0], [stage("a", None, "timeout")], {})
+    assert (row.chosen, row.outcomes, row.rate, row.sound) == ((0, 0, 0, 1), {"timeout": 1}, None, True)
 
 
 def test_the_same_choice_is_that_of_the_plain_room_right_or_wrong():
@@ -190,27 +181,16 @@ def test_the_table_cuts_no_number_in_80_columns():
         assert [line.strip() for line in text.splitlines()].count(each.name) == 1
 
 
-def test_the_command_prints_the_table_and_writes_the_page(tmp_path, capsys):
+def test_the_command_prints_the_table_and_writes_the_page_and_too_few_flights_are_neither_sound_nor_not(
+    tmp_path, capsys
+):
     out = tmp_path / "audit"
-    main(
-        [
-            "audit",
-            "--policy",
-            "oracle",
-            "--suite",
-            "open-v1:smoke",
-            "--episodes",
-            "1",
-            "--only",
-            "mirrored stage",
-            "--workers",
-            "0",
-            "--out",
-            str(out),
-        ],
-    )
+    words = ["audit", "--policy", "oracle", "--suite", "open-v1:smoke", "--episodes", "1", "--only", "mirrored stage"]
+    main([*words, "--workers", "0", "--out", str(out)])
     shown = capsys.readouterr()
     assert "mirrored stage" in shown.out
     assert "audit 1/2: baseline, as it is\n" in shown.err
     assert "audit 2/2: mirrored stage, mirrored\n" in shown.err
     assert (out / "audit.html").read_text().startswith("<!doctype html>")
+    document = json.loads((out / "audit.json").read_text())
+    assert [row["sound"] for row in document["rows"]] == [None, None]

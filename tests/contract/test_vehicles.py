@@ -2,21 +2,13 @@
 
 from __future__ import annotations
 
-import sys
-import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytest.importorskip("pymavlink")
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "support"))
-sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles"))
-sys.path.insert(0, str(Path(__file__).parents[1] / "vehicles" / "gazebo"))
-
+from app_fakes import served
 from arducopters import free_instance, played_arducopter
 from fake_gazebo import FakeGazebo
 from moving import moving, opened
@@ -24,7 +16,6 @@ from px4_peer import playing_px4
 from sdf_reading import models, read_world
 
 from cognitivedrone.apps.config import SimPlan
-from cognitivedrone.apps.vehicle import Served, serve_vehicle
 from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.envs.track_runner import episode_rng
 from cognitivedrone.errors import LinkError, RunError
@@ -42,6 +33,8 @@ from cognitivedrone.vehicles.gazebo.worlds.export import export
 SUITE = load_suite("open-v1:smoke")
 EPISODE = 4
 """The shortest flight."""
+SIMULATOR = SimPlan.of(mavlink=True, links=("tcpin:127.0.0.1:0",), camera_port=0, airframe="iris")
+"""Ours, as a MAVLink vehicle."""
 
 
 @contextmanager
@@ -59,33 +52,13 @@ def opened_vehicle(kind: str, pace: Pace, folder: Path) -> Iterator[Vehicle]:
             patch = stack.enter_context(pytest.MonkeyPatch.context())
             patch.setattr(pilot, "open_gazebo", lambda: opened(running))
         if "mavlink" in kind:
-            served = stack.enter_context(serving())
-            spec = VehicleSpec("mavlink:tcp:" + served.links[0].partition(":")[2])
+            vehicle = stack.enter_context(served(SIMULATOR))
+            spec = VehicleSpec("mavlink:tcp:" + vehicle.links[0].partition(":")[2])
             if kind == "px4 by mavlink":  # with the same camera
                 spec = VehicleSpec(f"mavlink:udpout:127.0.0.1:{stack.enter_context(playing_px4(simulated=True)).port}")
-            safety = SafetySpec(camera=served.camera_url or "", set_parameters=True)
+            safety = SafetySpec(camera=vehicle.camera_url or "", set_parameters=True)
         request = Request(spec, load_pack(), IRIS, pace=pace, safety=safety, folder=folder / "logs")
         yield stack.enter_context(closing(open_vehicle(request)))
-
-
-@contextmanager
-def serving() -> Iterator[Served]:
-    """Our simulator as a MAVLink vehicle, in a thread."""
-    stopping, ready, served = threading.Event(), threading.Event(), list[Served]()
-
-    def announce(what: Served) -> None:
-        served.append(what)
-        ready.set()
-
-    plan = SimPlan.of(mavlink=True, links=("tcpin:127.0.0.1:0",), camera_port=0, airframe="iris")
-    thread = threading.Thread(target=serve_vehicle, args=(plan, stopping.is_set, announce))
-    thread.start()
-    try:
-        assert ready.wait(60)
-        yield served[0]
-    finally:
-        stopping.set()
-        thread.join()
 
 
 KINDS: list[tuple[str, Pace]] = [

@@ -76,15 +76,15 @@ def test_a_chunk_is_flown_to_its_end_before_the_policy_is_asked_again():
 class Saying(Reasoner):
     """A reasoner that says one thing after the other, the last one for ever; None is "cannot tell"."""
 
-    def __init__(self, *directives):
-        self.directives, self.asked = list(directives), []
+    def __init__(self, *directives, confidence=1.0):
+        self.directives, self.asked, self.confidence = list(directives), [], confidence
 
     def refine(self, image, instruction):
         self.asked.append(instruction)
         directive = self.directives.pop(0) if len(self.directives) > 1 else self.directives[0]
         if directive is None:
             raise ReasonerError("unsure", "it is too dark")
-        return Guidance(directive, None, 1.0)
+        return Guidance(directive, None, self.confidence)
 
 
 class Notes:
@@ -99,6 +99,10 @@ class Notes:
 
     def of(self, *kinds):
         return [event for event in self.events if event[1] in kinds]
+
+    @property
+    def declining(self):
+        return [(kind, time) for time, kind, _ in self.of("declined", "resumed")]
 
 
 RED, BLUE = "Fly through the red gate", "Fly through the blue gate"
@@ -285,47 +289,26 @@ def test_an_action_of_another_shape_is_a_programming_error(shape):
 # ---- declining
 
 
-class Declining:
-    def __init__(self):
-        self.events, self.guidance = [], []
-
-    def record(self, observation, action, guidance):
-        self.guidance.append(guidance)
-
-    def note(self, event):
-        if event.kind in ("declined", "resumed"):
-            self.events.append((event.kind, round(event.time, 3)))
-
-
-class Answering(Reasoner):
-    """Gives one directive after the other."""
-
-    def __init__(self, *directives, confidence=1.0):
-        self.directives, self.confidence = [*directives], confidence
-
-    def refine(self, image, instruction):
-        return Guidance(self.directives.pop(0), None, self.confidence)
+HOLD = "Hold position"
 
 
 def test_the_drone_hovers_while_the_directive_declines_and_the_policy_is_not_asked():
-    ground, policy, notes = Ground(), Counting(k=2), Declining()
-    red = "Fly through the big red round gate"
-    reasoner = SimulatedReasoner(Answering("Hold position", "hold position.", "Hold position", red, red, red))
+    ground, policy, notes = Ground(), Counting(k=2), Notes()
+    reasoner = SimulatedReasoner(Saying(HOLD, "hold position.", HOLD, RED))
     fly(ground, policy, ground, for_steps(ground, 30), reasoner=reasoner, recorder=notes)
     flown = [bool(action.any()) for _, action in ground.sent]
-    assert notes.events == [("declined", 1.0), ("resumed", 2.0)]
+    assert notes.declining == [("declined", 1.0), ("resumed", 2.0)]
     assert flown == [True] * 10 + [False] * 10 + [True] * 10
-    assert policy.texts == ["go"] * 5 + [red] * 5
+    assert policy.texts == ["go"] * 5 + [RED] * 5
 
 
 def test_the_loop_lands_by_the_instruction_and_never_by_a_directive_alone():
     ground, policy = Ground(), Counting()
-    landing = SimulatedReasoner(Answering(*["Land on the red pad"] * 3))
-    fly(ground, policy, ground, for_steps(ground, 10), reasoner=landing)
+    fly(ground, policy, ground, for_steps(ground, 10), reasoner=SimulatedReasoner(Saying("Land on the red pad")))
     assert policy.texts[-1] == "Land on the red pad"
     assert policy.calls == 10
-    ground, policy, asked = Ground(), Counting(), Answering(*["Fly through the red gate"] * 3)
-    fly(ground, policy, ground, for_steps(ground, 10, "Land on the red pad"), reasoner=SimulatedReasoner(asked))
+    ground, policy = Ground(), Counting()
+    fly(ground, policy, ground, for_steps(ground, 10, "Land on the red pad"), reasoner=SimulatedReasoner(Saying(RED)))
     assert policy.calls == 0
     assert all(command[3] > 0 for _, command in ground.sent)  # it turns: there is no pad in a black picture
 
@@ -336,9 +319,9 @@ def test_a_policy_declines_with_its_commands():
             self.declines = 3 <= self.calls < 6
             return super().act(observation)
 
-    ground, notes = Ground(), Declining()
+    ground, notes = Ground(), Notes()
     fly(ground, TimedPolicy(Unsure()), ground, for_steps(ground, 10), recorder=notes)
-    assert notes.events == [("declined", 0.3), ("resumed", 0.6)]
+    assert notes.declining == [("declined", 0.3), ("resumed", 0.6)]
 
 
 def test_a_users_policy_declines_by_an_attribute():
@@ -353,9 +336,9 @@ def test_a_users_policy_declines_by_an_attribute():
 
     assert as_policy("mine", Users()).declines
     assert not Counting().declines
-    ground, notes = Ground(), Declining()
+    ground, notes = Ground(), Notes()
     fly(ground, as_policy("mine", Users()), ground, for_steps(ground, 3), recorder=notes)
-    assert notes.events == [("declined", 0.0)]
+    assert notes.declining == [("declined", 0.0)]
 
 
 @pytest.mark.parametrize(("present", "declined"), [(0.99, False), (0.5, True), (None, True)])
@@ -368,23 +351,16 @@ def test_a_policy_that_is_surer_is_not_stopped(present, declined):
             self.present = present
             return np.full((1, 4), 0.1, np.float32)
 
-    ground, notes = Ground(), Declining()
-    reasoner = SimulatedReasoner(Answering(*["Hold position"] * 4, confidence=0.9))
-    fly(
-        ground,
-        TimedPolicy(as_policy("mine", Users())),
-        ground,
-        for_steps(ground, 15),
-        reasoner=reasoner,
-        recorder=notes,
-    )
-    assert notes.events == ([("declined", 1.0)] if declined else [])
+    ground, notes = Ground(), Notes()
+    policy, reasoner = TimedPolicy(as_policy("mine", Users())), SimulatedReasoner(Saying(HOLD, confidence=0.9))
+    fly(ground, policy, ground, for_steps(ground, 15), reasoner=reasoner, recorder=notes)
+    assert notes.declining == ([("declined", 1.0)] if declined else [])
 
 
 def test_a_new_segment_begins_without_declining():
-    ground, notes = Ground(), Declining()
-    reasoner = SimulatedReasoner(Answering(*["Hold position"] * 3, "Fly through the red gate"))
+    ground, notes = Ground(), Notes()
+    reasoner = SimulatedReasoner(Saying(HOLD, HOLD, HOLD, RED))
     mission = lambda: Segment(int(ground.time >= 1.3), "go") if ground.time < 1.5 else None  # noqa: E731
     fly(ground, Counting(), ground, mission, reasoner=reasoner, recorder=notes)
-    assert notes.events == [("declined", 1.0)]
+    assert notes.declining == [("declined", 1.0)]
     assert [bool(action.any()) for _, action in ground.sent] == [True] * 10 + [False] * 3 + [True] * 2

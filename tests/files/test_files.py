@@ -343,16 +343,6 @@ def test_what_killed_writers_left_is_removed_and_what_living_ones_write_is_not(t
     assert {path.name for path in tmp_path.iterdir()} == {"file", "named.tmp", ".hidden"}
 
 
-def test_nothing_is_written_through_a_link_with_the_temporary_name(tmp_path):
-    other = tmp_path / "other"
-    other.write_text("precious")
-    (tmp_path / "page.html.tmp").symlink_to(other)
-    replace_file(tmp_path / "page.html", b"new")
-    assert other.read_text() == "precious"
-    assert (tmp_path / "page.html").read_bytes() == b"new"
-    assert not (tmp_path / "page.html").is_symlink()
-
-
 @pytest.mark.parametrize(
     "name",
     [

@@ -114,11 +114,18 @@ def test_a_flight_in_an_unknown_world_and_one_without_a_step_are_shown_as_far_as
     assert not page.with_name("flight.mp4").exists()
 
 
-def test_an_episode_of_a_run_is_filmed_as_it_was_flown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run = tmp_path / "run"
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two episodes, flown."""
+    out = tmp_path_factory.mktemp("flown") / "run"
     words = ["--suite", "open-v1:smoke", "--policy", "oracle", "--episodes", "2", "--clips", "0", "--workers", "0"]
-    main(["bench", *words, "--out", str(run)])
-    capsys.readouterr()
+    main(["bench", *words, "--out", str(out)])
+    return out
+
+
+def test_an_episode_of_a_run_is_filmed_as_it_was_flown(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     main(["film", str(run), "--episode", "1"])
     assert "Passed: through gate" in capsys.readouterr().out
     steps = json.loads((run / "results.json").read_text())["episodes"][1]["steps"]
@@ -137,12 +144,11 @@ def test_an_episode_of_a_run_is_filmed_as_it_was_flown(tmp_path: Path, capsys: p
     assert "'films' is a link or in one" in capsys.readouterr().err
 
 
-def test_a_run_never_names_code_that_filming_it_would_import(tmp_path: Path) -> None:
+def test_a_run_never_names_code_that_filming_it_would_import(run: Path, tmp_path: Path) -> None:
     from cognitivedrone.benchmark.runs.film import film_episode
 
-    main(["bench", "--suite", "open-v1:smoke", "--policy", "oracle", "--episodes", "1", "--clips", "0",
-          "--workers", "0", "--out", str(tmp_path / "run")])  # fmt: skip
-    file = tmp_path / "run" / "results.json"
-    file.write_text(file.read_text().replace('"policy": "oracle"', '"policy": "os:system"'))
+    (tmp_path / "run").mkdir()
+    results = (run / "results.json").read_text().replace('"policy": "oracle"', '"policy": "os:system"')
+    (tmp_path / "run" / "results.json").write_text(results)
     with pytest.raises(PluginError, match="os:system"):
         film_episode(tmp_path / "run")

@@ -64,13 +64,12 @@ WRONG = {
 
 
 @pytest.mark.parametrize("kind", WRONG)
-@pytest.mark.parametrize("name", ["cat.png", "cat.jpg"])
-def test_the_message_says_what_the_file_is_and_what_to_do(kind, name):
+def test_the_message_says_what_the_file_is_and_what_to_do(kind):
     content, what, way_out = WRONG[kind]
     with pytest.raises(LabelError) as refused:
-        decode_picture(content, f"label image {name}", LabelError)
+        decode_picture(content, "label image cat.png", LabelError)
     message = str(refused.value)
-    assert message.startswith(f"label image {name} cannot be read as PNG, JPEG or WebP: {what}")
+    assert message.startswith(f"label image cat.png cannot be read as PNG, JPEG or WebP: {what}")
     assert way_out in message
     assert message.isprintable()
 

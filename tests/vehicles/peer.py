@@ -8,13 +8,16 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as m
 
-from cognitivedrone.control.safety import SafetyConfig, Timeouts
-from cognitivedrone.vehicles.camera import Shot
+from cognitivedrone.control.safety import Guard, SafetyConfig, Timeouts
+from cognitivedrone.vehicles.camera import Camera, Shot
+from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
+from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 
 MODES = {"STABILIZE": 0, "GUIDED": 4, "LOITER": 5, "RTL": 6, "LAND": 9, "BRAKE": 17}
 REMOTE_BIT = m.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
@@ -59,6 +62,11 @@ CALM = SafetyConfig(
     most_jump_m=np.inf,
 )
 """For tests of something else, on machines that are busy."""
+
+
+SURE = MavlinkConfig(heartbeat_timeout_s=60, ready_timeout_s=60, takeoff_timeout_s=60, landing_timeout_s=60)
+"""What is waited for comes, however busy the machine is."""
+FORWARD = np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32)
 
 
 class StillCamera:
@@ -181,6 +189,14 @@ class Peer:
     def of(self, kind: str) -> list[Any]:
         return [message for _, message in self.received if message.get_type() == kind]
 
+    def orders(self, *commands: int, since: float = 0.0) -> list[Any]:
+        """COMMAND_LONG messages that came since then, all or those with these commands."""
+        found = [c for at, c in list(self.received) if at >= since and c.get_type() == "COMMAND_LONG"]
+        return [c for c in found if not commands or c.command in commands]
+
+    def modes_ordered(self, since: float = 0.0) -> list[int]:
+        return [int(c.param2) for c in self.orders(m.MAV_CMD_DO_SET_MODE, since=since)]
+
     def setpoints_since(self, moment: float) -> list[tuple[float, float, float, float]]:
         """vx, vy, vz in FRD and yaw rate, of the velocity setpoints since then."""
         return [
@@ -286,6 +302,24 @@ class Peer:
                 self._report()
 
 
+FLOWN = {(1, "ATTITUDE"), (255, "SET_POSITION_TARGET_LOCAL_NED"), (255, "COMMAND_LONG"), (1, "COMMAND_ACK")}
+"""Of `kinds_logged`, what every flight has."""
+
+
+def kinds_logged(log: Path) -> set[tuple[int, str]]:
+    """Senders and kinds of the messages in a log, which are all of this minute."""
+    from pymavlink import mavutil  # which whoever flies beside a peer need not wait for
+
+    reader, kinds = mavutil.mavlogfile(str(log)), set()
+    try:
+        while (message := reader.recv_match()) is not None:
+            kinds.add((message.get_srcSystem(), message.get_type()))
+            assert abs(message._timestamp - time.time()) < 60
+    finally:
+        reader.close()
+    return kinds
+
+
 @contextmanager
 def playing(**part: Any) -> Iterator[Peer]:
     """A peer for one test."""
@@ -294,3 +328,18 @@ def playing(**part: Any) -> Iterator[Peer]:
         yield peer
     finally:
         peer.close()
+
+
+def connect(
+    peer: Peer, config: MavlinkConfig = SURE, safety: SafetyConfig = CALM, camera: Camera | None = None
+) -> MavlinkDrone:
+    return MavlinkDrone(f"udpout:127.0.0.1:{peer.port}", camera or StillCamera(), Guard(safety), config)
+
+
+@contextmanager
+def flying(
+    peer: Peer, safety: SafetyConfig = CALM, config: MavlinkConfig = SURE, camera: Camera | None = None
+) -> Iterator[MavlinkDrone]:
+    with connect(peer, config, safety, camera) as drone:
+        drone.take_off(lambda _: True)
+        yield drone

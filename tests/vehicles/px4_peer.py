@@ -8,15 +8,11 @@ from __future__ import annotations
 
 import math
 import struct
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
-
-sys.path.insert(0, str(Path(__file__).parent))
 
 from peer import REMOTE_BIT, Part, Peer
 from pymavlink.dialects.v20 import ardupilotmega as m

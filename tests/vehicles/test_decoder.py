@@ -2,14 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import pytest
-
-pytest.importorskip("pymavlink")
-sys.path.insert(0, str(Path(__file__).parent))
-
 from fuzz import BEAT, packed
 from pymavlink.dialects.v20 import ardupilotmega as m
 

@@ -3,16 +3,9 @@
 from __future__ import annotations
 
 import random
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
-import pytest
-
-pytest.importorskip("pymavlink")
-sys.path.insert(0, str(Path(__file__).parent))
-
 from fuzz import BEAT, STRANGER, VEHICLE, connected, packed, random_packet, strangers
 from pymavlink.dialects.v20 import ardupilotmega as m
 

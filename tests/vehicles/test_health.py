@@ -3,16 +3,10 @@
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytest.importorskip("pymavlink")
-sys.path.insert(0, str(Path(__file__).parent))
-
 from pymavlink.dialects.v20 import ardupilotmega as m
 
 from cognitivedrone.vehicles.mavlink.client.health import Asked, Baseline, health_of
@@ -234,7 +228,15 @@ def sent_by(system: int, component: int, message):
             "system 9",
         ),
         (m.MAVLink_command_long_message(1, 1, 176, 0, 1, 5, 0, 0, 0, 0, 0), "system 9"),
+        (m.MAVLink_command_long_message(1, 1, 178, 0, 0, 9, 0, 0, 0, 0, 0), "system 9"),
+        (m.MAVLink_command_long_message(1, 1, 115, 0, 90, 0, 0, 0, 0, 0, 0), "system 9"),
         (m.MAVLink_set_mode_message(1, 1, 5), "system 9"),
+        (m.MAVLink_mission_item_int_message(1, 1, 0, 6, 16, 2, 1, 0, 0, 0, 0, 1, 2, 3.0), "system 9"),
+        (m.MAVLink_mission_item_message(1, 1, 0, 3, 16, 2, 1, 0, 0, 0, 0, 1, 2, 3.0), "system 9"),
+        (m.MAVLink_mission_item_message(1, 1, 0, 3, 16, 3, 1, 0, 0, 0, 0, 1, 2, 3.0), "system 9"),
+        (m.MAVLink_mission_item_int_message(1, 1, 0, 6, 16, 0, 1, 0, 0, 0, 0, 1, 2, 3.0), ""),  # part of an upload
+        (m.MAVLink_mission_item_int_message(7, 1, 0, 6, 16, 2, 1, 0, 0, 0, 0, 1, 2, 3.0), ""),  # another vehicle's
+        (m.MAVLink_mission_count_message(1, 1, 9), ""),
         (m.MAVLink_command_long_message(1, 1, 512, 0, 1, 0, 0, 0, 0, 0, 0), ""),  # asks, and moves nothing
         (m.MAVLink_command_long_message(2, 1, 176, 0, 1, 5, 0, 0, 0, 0, 0), ""),  # for another vehicle
         (m.MAVLink_param_request_list_message(1, 1), ""),

@@ -8,24 +8,29 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytest.importorskip("pymavlink")
-sys.path.insert(0, str(Path(__file__).parent))
-
-from peer import CALM, MODES, PARAMETERS, Peer, StillCamera, playing
-from pymavlink import mavutil
+from fuzz import packed
+from peer import (
+    CALM,
+    FLOWN,
+    FORWARD,
+    MODES,
+    PARAMETERS,
+    SURE,
+    StillCamera,
+    connect,
+    flying,
+    kinds_logged,
+    playing,
+)
 from pymavlink.dialects.v20 import ardupilotmega as m
 from waiting import soon
 
 from cognitivedrone.control.loop import Segment, fly
-from cognitivedrone.control.safety import Guard, SafetyConfig, Timeouts
+from cognitivedrone.control.safety import Guard, Timeouts
 from cognitivedrone.errors import LinkError, MissingExtra
 from cognitivedrone.interfaces import Policy
 from cognitivedrone.sim.simulator import Simulator
@@ -34,42 +39,29 @@ from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.mavlink.server.modes import Mode
 from cognitivedrone.vehicles.mavlink.server.vehicle import STEP_S, SimulatedVehicle, VehicleConfig
 
-SURE = MavlinkConfig(heartbeat_timeout_s=60, ready_timeout_s=60, takeoff_timeout_s=60, landing_timeout_s=60)
-"""What is waited for comes, however busy the machine is."""
 SILENT = replace(SURE, heartbeat_timeout_s=0.5)
 """No heartbeat comes."""
 UNREADY = replace(SURE, ready_timeout_s=2)
 """All is known of the vehicle in time, and it is not ready."""
 STUCK = replace(SURE, takeoff_timeout_s=0.5)
 """It does not climb."""
-FORWARD = np.array([1.0, 0.0, 0.0, 0.0], dtype=np.float32)
-
-
-def connect(peer: Peer, config: MavlinkConfig = SURE, safety: SafetyConfig = CALM) -> MavlinkDrone:
-    return MavlinkDrone(f"udpout:127.0.0.1:{peer.port}", StillCamera(), Guard(safety), config)
-
-
-@contextmanager
-def flying(peer: Peer, safety: SafetyConfig = CALM) -> Iterator[MavlinkDrone]:
-    with connect(peer, safety=safety) as drone:
-        drone.take_off(lambda _: True)
-        yield drone
+SIMULATED = MavlinkConfig(clock="vehicle", set_parameters=True, takeoff_height_m=1.0)
 
 
 # What goes over the wire.
 
 
-def test_a_flight_from_arming_to_landing():
+def test_a_flight_from_arming_to_landing(tmp_path):
+    log = tmp_path / "new" / "flight.tlog"
     with playing() as peer:
-        with flying(peer) as drone:
+        with connect(peer, replace(SURE, tlog=log)) as drone:
+            drone.take_off(lambda _: True)
             before = time.monotonic()
             assert drone.send(FORWARD)[0] == pytest.approx(1.0)
             seen = drone.observe()
             soon(lambda: peer.setpoints_since(before))
-        commands = [c.command for c in peer.of("COMMAND_LONG") if c.command in (176, 400, 22)]
-        assert commands == [176, 400, 22, 176]
-        modes = [c.param2 for c in peer.of("COMMAND_LONG") if c.command == 176]
-        assert modes == [MODES["GUIDED"], MODES["LAND"]]
+        assert [c.command for c in peer.orders(176, 400, 22)] == [176, 400, 22, 176]
+        assert peer.modes_ordered() == [MODES["GUIDED"], MODES["LAND"]]
         assert drone.over == "the flight is over"
         assert drone.camera.closed
     # Heading north at 1 m/s, 0.5 east, 0.25 down; half a metre up is where it stood.
@@ -77,6 +69,7 @@ def test_a_flight_from_arming_to_landing():
     assert seen.height == pytest.approx(1.5)
     assert seen.yaw_rate == pytest.approx(-0.25)
     assert seen.image.shape == (256, 256, 3)
+    assert kinds_logged(log) >= FLOWN
 
 
 def test_setpoints_are_body_ned_velocities_and_yaw_rates():
@@ -89,13 +82,15 @@ def test_setpoints_are_body_ned_velocities_and_yaw_rates():
         assert peer.setpoints_since(before)[0] == pytest.approx((0.5, -0.25, -0.125, 0.25))
 
 
-def test_nothing_is_sent_while_it_climbs():
-    with playing(climbs=False) as peer, connect(peer, STUCK) as drone:
-        with pytest.raises(LinkError, match=r"not at 1.5 m 0.5 s after take-off"):
-            drone.take_off(lambda _: True)
-        assert peer.setpoints_since(0) == []
-        with pytest.raises(LinkError, match="call take_off first"):
-            drone.send(FORWARD)
+def test_nothing_is_sent_while_it_climbs_and_an_interruption_of_the_climb_lands():
+    with playing(climbs=False) as peer:
+        with connect(peer, STUCK) as drone:
+            with pytest.raises(LinkError, match=r"not at 1.5 m 0.5 s after take-off"):
+                drone.take_off(lambda _: True)
+            assert peer.setpoints_since(0) == []
+            with pytest.raises(LinkError, match="call take_off first"):
+                drone.send(FORWARD)
+        assert peer.part.mode == MODES["LAND"]
 
 
 def test_we_heartbeat_as_a_ground_station():
@@ -103,21 +98,6 @@ def test_we_heartbeat_as_a_ground_station():
         soon(lambda: len(peer.of("HEARTBEAT")) >= 2)
         beat = peer.of("HEARTBEAT")[0]
         assert (beat.get_srcSystem(), beat.type) == (255, m.MAV_TYPE_GCS)
-
-
-def test_everything_received_and_sent_is_in_the_tlog(tmp_path):
-    log = tmp_path / "new" / "flight.tlog"
-    with playing() as peer, connect(peer, replace(SURE, tlog=log)) as drone:
-        drone.take_off(lambda _: True)
-        drone.send(FORWARD)
-    reader, kinds = mavutil.mavlogfile(str(log)), set()
-    try:
-        while (message := reader.recv_match()) is not None:
-            kinds.add((message.get_srcSystem(), message.get_type()))
-            assert abs(message._timestamp - time.time()) < 60
-    finally:
-        reader.close()
-    assert {(1, "ATTITUDE"), (255, "SET_POSITION_TARGET_LOCAL_NED"), (255, "COMMAND_LONG"), (1, "COMMAND_ACK")} <= kinds
 
 
 # Faults in the air, and what safe thing is done. How soon by the rules: on virtual time, in tests/control.
@@ -145,18 +125,17 @@ def test_a_silent_policy_is_held_braked_and_landed():
         assert drone.over is None
         soon(lambda: peer.part.mode == MODES["LAND"])
         assert "no new command from the policy" in drone.over
-        assert MODES["BRAKE"] not in [c.param2 for c in peer.of("COMMAND_LONG") if c.command == 176]
+        assert MODES["BRAKE"] not in peer.modes_ordered()
 
 
-@pytest.mark.parametrize("mode", ["LOITER", "STABILIZE"])
-def test_the_pilot_wins_for_good(mode):
+def test_the_pilot_wins_for_good():
     with playing() as peer:
         with flying(peer) as drone:
             drone.send(FORWARD)
             switched = time.monotonic()
-            peer.part.mode = MODES[mode]
+            peer.part.mode = MODES["LOITER"]
             soon(lambda: drone.over)
-            assert mode in drone.over
+            assert "LOITER" in drone.over
             released = time.monotonic()
             assert not drone.send(FORWARD).any()
             peer.part.mode = MODES["GUIDED"]
@@ -164,8 +143,7 @@ def test_the_pilot_wins_for_good(mode):
             assert not drone.send(FORWARD).any()
             drone.land()
         assert peer.setpoints_since(released) == []
-        late = [c for at, c in peer.received if at > switched and c.get_type() == "COMMAND_LONG"]
-        assert late == []
+        assert peer.orders(since=switched) == []
         assert peer.part.armed
 
 
@@ -174,7 +152,7 @@ def test_the_pilot_wins_during_take_off():
         with connect(peer) as drone:
 
             def switch() -> None:
-                soon(lambda: any(c.command == 22 for c in peer.of("COMMAND_LONG")))
+                soon(lambda: peer.orders(22))
                 peer.part.mode = MODES["LOITER"]
 
             pilot = threading.Thread(target=switch)
@@ -199,21 +177,9 @@ def test_a_stick_that_moves_brakes():
         time.sleep(1.0)
         # Still GUIDED, in which ArduCopter lands when we fall silent, and no mode was ordered.
         assert (drone.decision.kind, peer.part.mode) == ("brake", MODES["GUIDED"])
-        assert not [c for at, c in peer.received if at >= moved and getattr(c, "command", 0) == 176]
+        assert peer.modes_ordered(since=moved) == []
         peer.part.mode = MODES["LOITER"]
         soon(lambda: drone.over)
-
-
-def test_a_vehicle_that_falls_silent_is_told_to_stop():
-    safety = replace(CALM, link=Timeouts(0.15, 0.4))
-    with playing() as peer, flying(peer, safety) as drone:
-        drone.send(FORWARD)
-        peer.part.mute = True
-        soon(lambda: drone.decision.kind != "fly")
-        assert "no message from the vehicle" in drone.decision.reason
-        soon(lambda: drone.decision.kind == "brake")
-        assert peer.part.mode == MODES["GUIDED"]
-        peer.part.mute = False
 
 
 def test_outside_the_fence_and_with_a_low_battery():
@@ -235,13 +201,6 @@ def test_an_interruption_lands():
             raise KeyboardInterrupt
         assert peer.part.mode == MODES["LAND"]
         assert not peer.part.armed
-
-
-def test_an_interruption_of_the_climb_lands():
-    with playing(climbs=False) as peer:
-        with connect(peer, STUCK) as drone, pytest.raises(LinkError):
-            drone.take_off(lambda _: True)
-        assert peer.part.mode == MODES["LAND"]
 
 
 def test_it_flies_back_where_asked():
@@ -297,7 +256,6 @@ def test_a_vehicle_that_cannot_be_flown(part, reported):
         ),
         ({"refuse": {22: "no"}}, "refused take-off"),
         ({"battery": 20}, r"not fit to fly.*\[bad \] battery"),
-        ({"parameters": {**PARAMETERS, "GUID_TIMEOUT": 5.0}}, r"\[bad \] GUID_TIMEOUT +5"),
         ({"position": [np.nan] * 3, "climbs": False}, "does not report that it knows where it is"),
     ],
 )
@@ -336,20 +294,16 @@ def test_without_a_yes_nothing_is_armed():
         with pytest.raises(LinkError, match="not confirmed"):
             drone.take_off(lambda checklist: bool(lists.append(str(checklist))))  # type: ignore[func-returns-value]
         assert not peer.part.armed
-        assert [c.command for c in peer.of("COMMAND_LONG") if c.command in (176, 400, 22)] == []
+        assert peer.orders(176, 400, 22) == []
     assert "ArduCopter 4.6" in lists[0]
     assert "80% left" in lists[0]
 
 
-def packet(system: int, message: m.MAVLink_message) -> bytes:
-    return message.pack(m.MAVLink(None, srcSystem=system, srcComponent=1))
-
-
 def test_noise_and_other_vehicles_are_ignored_and_another_ground_station_is_reported():
-    other = packet(9, m.MAVLink_heartbeat_message(1, 3, 0x81, 5, 4, 3))
-    station = packet(250, m.MAVLink_heartbeat_message(m.MAV_TYPE_GCS, 8, 0, 0, 4, 3))
+    other = packed(m.MAVLink_heartbeat_message(1, 3, 0x81, 5, 4, 3), 9)
+    station = packed(m.MAVLink_heartbeat_message(m.MAV_TYPE_GCS, 8, 0, 0, 4, 3), 250)
     broken = b"\xfd\xff" + bytes(range(40))
-    endless = packet(1, m.MAVLink_attitude_message(5000, 0, 0, float("inf"), 0, 0, 0))
+    endless = packed(m.MAVLink_attitude_message(5000, 0, 0, float("inf"), 0, 0, 0))
     with playing(also=(other[:9], broken, station, endless)) as peer, connect(peer) as drone:
         peer.part.also += (other, b"\xfe", b"\x00" * 300)
         time.sleep(0.1)
@@ -470,10 +424,9 @@ class Constant(Policy):
 
 @pytest.mark.parametrize("firmware", [pytest.param((4, 6), marks=pytest.mark.slow), (4, 7)])
 def test_the_loop_flies_the_simulator_over_mavlink_and_lands_it(firmware):
-    config = MavlinkConfig(clock="vehicle", set_parameters=True, takeoff_height_m=1.0)
     with Sky(speed=8, firmware=firmware) as sky:
         start = sky.vehicle.state().position.copy()
-        with MavlinkDrone(sky.url, StillCamera(), Guard(CALM), config) as drone:
+        with MavlinkDrone(sky.url, StillCamera(), Guard(CALM), SIMULATED) as drone:
             drone.take_off(lambda _: True)
             up = sky.vehicle.state().position.copy()
             fly(drone, Constant(), drone, lambda: Segment(0, "go") if drone.now() < 3 else None)
@@ -485,20 +438,13 @@ def test_the_loop_flies_the_simulator_over_mavlink_and_lands_it(firmware):
         assert sky.vehicle.state().position[2] == pytest.approx(start[2], abs=0.1)
 
 
-def braked_then_killed(sky: Sky) -> MavlinkDrone:
-    """Stopped for good by the rules, and then as after `kill -9`."""
-    config = MavlinkConfig(clock="vehicle", set_parameters=True, takeoff_height_m=1.0)
-    drone = MavlinkDrone(sky.url, StillCamera(), Guard(replace(CALM, land_after_brake_s=1e6)), config)
-    drone.take_off(lambda _: True)
-    drone.send(FORWARD)
-    soon(lambda: drone.decision.kind == "brake")
-    drone.link.close()
-    return drone
-
-
 def test_killed_after_we_have_stopped_it_the_vehicle_still_lands():
     with Sky(speed=8) as sky:
-        braked_then_killed(sky)
+        drone = MavlinkDrone(sky.url, StillCamera(), Guard(replace(CALM, land_after_brake_s=1e6)), SIMULATED)
+        drone.take_off(lambda _: True)
+        drone.send(FORWARD)
+        soon(lambda: drone.decision.kind == "brake")  # stopped for good by the rules, and then as after `kill -9`
+        drone.link.close()
         assert sky.vehicle.parameters["FS_OPTIONS"] == 16  # as ArduCopter comes
         assert sky.vehicle.modes.mode == Mode.GUIDED
         soon(lambda: sky.vehicle.modes.mode == Mode.LAND)
@@ -508,9 +454,8 @@ def test_killed_after_we_have_stopped_it_the_vehicle_still_lands():
 @pytest.mark.parametrize("mode", [Mode.RTL, Mode.LOITER])
 def test_after_a_take_over_nothing_we_configured_acts_when_we_end(mode):
     with Sky(speed=8) as sky:
-        config = MavlinkConfig(clock="vehicle", set_parameters=True, takeoff_height_m=1.0)
         sky.vehicle.parameters.set("RTL_LOIT_TIME", 60000)
-        with MavlinkDrone(sky.url, StillCamera(), Guard(CALM), config) as drone:
+        with MavlinkDrone(sky.url, StillCamera(), Guard(CALM), SIMULATED) as drone:
             drone.take_off(lambda _: True)
             drone.send(FORWARD)
             assert sky.vehicle.parameters["FS_GCS_ENABLE"] == 5
@@ -519,16 +464,4 @@ def test_after_a_take_over_nothing_we_configured_acts_when_we_end(mode):
             soon(lambda: sky.vehicle.parameters["FS_GCS_ENABLE"] == 0)
         ended = sky.vehicle.time
         soon(lambda: sky.vehicle.time > ended + 8)
-        assert sky.vehicle.modes.mode == mode
-
-
-def test_the_simulators_pilot_takes_over():
-    with Sky(speed=8) as sky:
-        config = MavlinkConfig(clock="vehicle", set_parameters=True, takeoff_height_m=1.0)
-        with MavlinkDrone(sky.url, StillCamera(), Guard(CALM), config) as drone:
-            drone.take_off(lambda _: True)
-            drone.send(FORWARD)
-            sky.vehicle.pilot(Mode.LOITER)
-            soon(lambda: drone.over)
-        assert sky.vehicle.modes.mode == Mode.LOITER
-        assert sky.vehicle.modes.armed
+        assert (sky.vehicle.modes.mode, sky.vehicle.modes.armed) == (mode, True)

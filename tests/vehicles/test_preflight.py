@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from peer import PARAMETERS, PARAMETERS_4_7
 
-pytest.importorskip("pymavlink")
-sys.path.insert(0, str(Path(__file__).parent))
-
-from peer import PARAMETERS
-
+from cognitivedrone.vehicles.checklist import Finding
 from cognitivedrone.vehicles.mavlink.client.checks.expected import ARDUCOPTER_PARAMETERS
 from cognitivedrone.vehicles.mavlink.client.checks.preflight import Facts, build_checklist, corrections
 from cognitivedrone.vehicles.mavlink.client.link.traffic import Traffic
+from cognitivedrone.vehicles.mavlink.renames import read_by_either_name
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry
 
 NAMES = tuple(expected.name for expected in ARDUCOPTER_PARAMETERS)
@@ -114,6 +110,47 @@ def test_a_vehicle_without_a_required_parameter_is_not_flown(name):
 @pytest.mark.parametrize("action", [1.0, 3.0])
 def test_a_failsafe_that_returns_must_not_climb_above_our_ceiling(action, rtl, climb, state):
     assert states(FS_GCS_ENABLE=action, RTL_ALT=rtl, RTL_CLIMB_MIN=climb)["FS_GCS_ENABLE"] == state
+
+
+def renamed(**values: float | None) -> dict[str, Finding]:
+    """The rows of an ArduCopter 4.7, with other values of its own parameters; none where it has none."""
+    has = PARAMETERS_4_7 | values
+    own = read_by_either_name(lambda names: {name: has.get(name) for name in names}, NAMES, (4, 7))
+    older = {name: it.older(name) for name, it in own.items()}
+    checklist = build_checklist(replace(FACTS, version=(4, 7), values=older, own=own))
+    return {finding.what: finding for finding in checklist.findings}
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "state"),
+    [
+        ("MAV_GCS_SYSID", 250.0, "bad"),
+        ("ARMING_SKIPCHK", -1.0, "bad"),
+        ("ARMING_SKIPCHK", 1048062.0, "bad"),  # every check by its own bit
+        ("ARMING_SKIPCHK", 1048576.0, "warn"),  # a bit that the documentation does not name
+        ("ARMING_SKIPCHK", 4.0, "warn"),
+        ("RTL_ALT_M", 10.0, "ok"),
+        ("RTL_ALT_M", 15.0, "warn"),
+        ("RTL_CLIMB_MIN_M", 1.0, "warn"),
+    ],
+)
+def test_the_new_units_and_the_new_sense(name, value, state):
+    row = renamed(**{name: value})[name]
+    assert (row.state, row.found) == (state, f"{value:.7g}")
+
+
+@pytest.mark.parametrize(("height", "state"), [(9.0, "ok"), (15.0, "bad")])
+def test_a_failsafe_that_returns_is_judged_by_the_height_in_metres(height, state):
+    row = renamed(FS_GCS_ENABLE=1.0, RTL_ALT_M=height)["FS_GCS_ENABLE"]
+    assert row.state == state
+    assert "RTL_ALT " not in row.needed + row.why
+
+
+def test_a_vehicle_without_either_name_is_not_flown():
+    rows = renamed(ARMING_SKIPCHK=None)
+    assert [(row.what, row.found) for row in rows.values() if row.state == "bad"] == [
+        ("ARMING_SKIPCHK", "not known to the vehicle")
+    ]
 
 
 @pytest.mark.parametrize(

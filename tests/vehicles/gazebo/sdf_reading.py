@@ -1,4 +1,4 @@
-"""Reads exported worlds back without the code that wrote them: SDF by its elements, OBJ by its lines, rays by hand."""
+"""Reads exported worlds back without the code that wrote them: SDF by its elements, OBJ by its lines."""
 
 from __future__ import annotations
 
@@ -81,22 +81,3 @@ def model_mesh(folder: Path, model: ET.Element) -> tuple[np.ndarray, Obj]:
 
 def models(world: ET.Element) -> dict[str, ET.Element]:
     return {model.get("name"): model for model in world.findall("model")}
-
-
-def cast(origin: np.ndarray, directions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(n,) distances from `origin` along unit `directions` (n, 3) to the first of `triangles` (k, 3, 3); inf for none.
-
-    Moeller and Trumbore, "Fast, minimum storage ray/triangle intersection", 1997.
-    """
-    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    edge_b, edge_c = b - a, c - a
-    p = np.cross(directions[:, None], edge_c[None])
-    det = np.einsum("kj,nkj->nk", edge_b, p)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        to = origin - a
-        u = np.einsum("kj,nkj->nk", to, p) / det
-        q = np.cross(to, edge_b)
-        v = np.einsum("nj,kj->nk", directions, q) / det
-        t = np.einsum("kj,kj->k", edge_c, q) / det
-        hit = (np.abs(det) > 1e-12) & (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 1e-6)
-    return np.where(hit, t, np.inf).min(axis=1)

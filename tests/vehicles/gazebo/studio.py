@@ -90,7 +90,7 @@ class Studio:
         (x, y, _), _ = next(place for other, place in self.gazebo.poses.items() if other.startswith("floor"))
         stage = min(self.stages, key=lambda each: np.hypot(each.origin[0] - x, each.origin[1] - y))
         position, yaw = self.gazebo.poses[name]
-        key = (stage, tuple(position), yaw)
+        key = (stage, tuple(position), yaw, self.develop)
         if key not in self._drawn:
             self._cameras = self._cameras or Cameras()
             scenery = scenery_of(stage, load_pack(), PLAIN)

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from sdf_reading import models, read_world
+from sdf_reading import models, read_world, values
 
 from cognitivedrone.cli import main
 from cognitivedrone.errors import GazeboError, LabelError, TaskError
@@ -24,10 +24,9 @@ def test_one_task_is_one_world_with_all_its_files(tmp_path, capsys):
     uris = [element.text for tag in ("uri", "albedo_map", "emissive_map") for element in world.iter(tag)]
     assert uris
     assert all((folder / uri).is_file() for uri in uris)
-    colors = [values for gate in task.gates for values in [gate.color]]
-    for place, color in enumerate(colors, start=1):
-        emissive = [float(part) for part in models(world)[f"gate_{place}"].findtext(".//emissive").split()[:3]]
-        assert emissive.index(max(emissive)) == ["red", "green", "blue"].index(color)
+    for place, gate in enumerate(task.gates, start=1):
+        emissive = values(models(world)[f"gate_{place}"], ".//emissive")[:3]
+        assert emissive.index(max(emissive)) == ["red", "green", "blue"].index(gate.color)
     readme = (folder / "README.md").read_text()
     assert task.instruction in readme
     assert "gz sim -v 3 -r world.sdf" in readme
@@ -42,12 +41,13 @@ def test_the_stages_of_a_track_lie_behind_the_right_gates(track_folder):
     for before, after, task in zip(stages, stages[1:], track, strict=False):
         assert (after.origin, after.yaw) == geometry.next_stage_origin(before, task.target)
     for number, stage in enumerate(stages, start=1):
-        vehicle = models(read_world(track_folder / f"stage_{number}.sdf"))["iris"].findtext("pose").split()
-        start = geometry.to_gate_frame(
-            np.array([float(v) for v in vehicle[:3]]), np.array([*stage.origin, 0.0]), stage.yaw
-        )
+        found = models(read_world(track_folder / f"stage_{number}.sdf"))
+        vehicle = values(found["iris"], "pose")
+        start = geometry.to_gate_frame(np.array(vehicle[:3]), np.array([*stage.origin, 0.0]), stage.yaw)
         assert start[:2] == pytest.approx(geometry.START[:2], abs=1e-6)
-        assert float(vehicle[5]) == pytest.approx(stage.yaw)
+        assert vehicle[5] == pytest.approx(stage.yaw)
+        for place, center in enumerate(geometry.gate_centers(stage), start=1):
+            assert values(found[f"gate_{place}"], "pose")[:2] == pytest.approx(center[:2], abs=1e-6)
 
 
 def test_a_track_is_found_by_its_number_and_by_any_of_its_tasks():

@@ -132,7 +132,6 @@ def test_the_benchmark_flies_in_gazebo(running, tmp_path, monkeypatch, capsys):
         (["--airframe", "racer"], "add --airframe iris"),
         (["--airframe", "iris", "--wind", "1"], "leave --wind out"),
         (["--airframe", "iris", "--workers", "2"], "--workers 2 is too many"),
-        (["--airframe", "iris"], "Python bindings are not installed"),
     ],
 )
 def test_what_the_benchmark_cannot_fly_in_gazebo_is_reported(tmp_path, capsys, options, says):

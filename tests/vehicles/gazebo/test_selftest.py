@@ -110,6 +110,7 @@ def test_a_gazebo_that_does_not_start_skips_the_rest(tmp_path, monkeypatch):
 def test_without_its_plugin_the_vehicle_is_not_flown(tmp_path, monkeypatch):
     line = "[Err] [SystemLoader.cc:92] Failed to load system plugin [ArduPilotPlugin] : not found"
     with studio(tmp_path, STAGES, then=f"echo '{line}'; sleep 1000") as machine:
+        monkeypatch.setattr(selftest, "CHECKS", ())
         monkeypatch.setattr(selftest, "_autopilot", lambda named: (lambda folder: None, ""))
         code, results = run(machine, tmp_path / "out", monkeypatch)
     assert code == 0
@@ -171,19 +172,16 @@ def scene_of(machine: Studio, folder: Path, stack: ExitStack, config: LiveConfig
     return scene
 
 
-@pytest.mark.parametrize(
-    ("develop", "says"),
-    [
-        (lambda image: image[:, ::-1].copy(), "a panel's picture correlates by"),
-        (lambda image: image[..., ::-1].copy(), "the pixels of a gate overlap by"),
-        (lambda image: np.where(image > 250, 90, image).astype(np.uint8), "a picture differs by"),
-    ],
-    ids=["mirrored", "red for blue", "dark floor"],
-)
-def test_a_camera_that_shows_something_else_is_reported(tmp_path, develop, says):
+def test_a_camera_that_shows_something_else_is_reported(tmp_path):
     with studio(tmp_path, STAGES) as machine, ExitStack() as stack:
-        machine.develop = develop
-        assert says in checks.pictures(scene_of(machine, tmp_path, stack)).problem
+        scene = scene_of(machine, tmp_path, stack)
+        for develop, says in (
+            (lambda image: image[:, ::-1].copy(), "a panel's picture correlates by"),
+            (lambda image: image[..., ::-1].copy(), "the pixels of a gate overlap by"),
+            (lambda image: np.where(image > 250, 90, image).astype(np.uint8), "a picture differs by"),
+        ):
+            machine.develop = develop
+            assert says in checks.pictures(scene).problem
 
 
 def test_a_stage_that_comes_late_is_reported(tmp_path):

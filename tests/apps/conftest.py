@@ -1,0 +1,9 @@
+"""Makes `app_fakes`, and the vehicles that play a part, importable by their names."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+for folder in ("apps", "vehicles", "vehicles/gazebo"):
+    sys.path.insert(0, str(Path(__file__).parents[1] / folder))
