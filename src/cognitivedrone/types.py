@@ -200,6 +200,8 @@ class Task:
     """What is in the way."""
     landmark: Landmark | None = None
     """A panel that is no gate's; never together with a board."""
+    missing: int | None = None
+    """Index of a gate that does not stand, 0 to 2, never the target: two are left to choose from; none if all do."""
 
 
 Track: TypeAlias = tuple[Task, ...]
@@ -229,6 +231,8 @@ class Stage:
     """What is in the way."""
     landmark: Landmark | None = field(default=None, metadata={"json": "where set"})
     """A panel that is no gate's; its picture takes the place of the board's."""
+    missing: int | None = field(default=None, metadata={"json": "where set"})
+    """Index of a gate that does not stand, 0 to 2; none if all do."""
 
 
 @dataclass(frozen=True, slots=True)

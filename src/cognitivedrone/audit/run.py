@@ -118,7 +118,7 @@ def _audited(suite: Suite) -> Iterator[Track]:
 
 
 def _is_choice(task: Task) -> bool:
-    return task.target is not None and task.only is None and task.family not in _BY_PLACE
+    return task.target is not None and task.only is None and task.missing is None and task.family not in _BY_PLACE
 
 
 def _changed(seed: int, tracks: Iterable[Track], each: Audit, variant: Variant) -> Iterator[Track]:

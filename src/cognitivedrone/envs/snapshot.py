@@ -104,7 +104,7 @@ def _heading(task: Task, where: str) -> PillowImage.Image:
         top += 40
     top += 14
     for index in range(3):
-        if task.only not in (None, index):
+        if task.only not in (None, index) or task.missing == index:
             continue
         right = index == task.target
         _badge(pen, _GAP + _BADGE, top + _BADGE, index + 1, right=right)

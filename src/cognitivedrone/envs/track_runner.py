@@ -78,7 +78,7 @@ def stage_of(task: Task, origin: tuple[float, float] = (0.0, 0.0), yaw: float = 
     """The task's gates and panels, placed in the world."""
     return Stage(
         task.gates, task.labels, task.board, origin, yaw, only=task.only, layout=task.layout, landing=task.landing,
-        obstacles=task.obstacles, landmark=task.landmark,
+        obstacles=task.obstacles, landmark=task.landmark, missing=task.missing,
     )  # fmt: skip
 
 

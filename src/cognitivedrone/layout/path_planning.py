@@ -87,10 +87,10 @@ def ways_to(
     landmark: Landmark | None,
     layout: Layout | None,
     margin: float,
-    only: int | None = None,
+    gates: tuple[int, ...] = (0, 1, 2),
 ) -> Ways:
-    """The ways to a gate, 0 to 2, that keep `margin` m from obstacles and do not pass beside a gate."""
-    solids, beside, graph = _network(obstacles, landmark, layout, margin, only)
+    """The ways to a gate, 0 to 2, that keep `margin` m from obstacles and do not pass beside any of the `gates`."""
+    solids, beside, graph = _network(obstacles, landmark, layout, margin, gates)
     centers, yaws = gate_places(layout)
     join = centers[gate] - JOIN_M * np.array([np.cos(yaws[gate]), np.sin(yaws[gate]), 0.0])
     points = np.concatenate([join[None], beside])
@@ -104,12 +104,16 @@ def ways_to(
 
 @lru_cache(maxsize=32)
 def _network(
-    obstacles: tuple[Obstacle, ...], landmark: Landmark | None, layout: Layout | None, margin: float, only: int | None
+    obstacles: tuple[Obstacle, ...],
+    landmark: Landmark | None,
+    layout: Layout | None,
+    margin: float,
+    gates: tuple[int, ...],
 ) -> tuple[Solids, Vectors, FloatArray]:
     """What must be avoided, points beside it (n, 3), and the metres between points in sight of each other (n, n)."""
     centers, yaws = gate_places(layout)
     things = blocks_of(obstacles, landmark)
-    shown = list(range(3)) if only is None else [only]
+    shown = list(gates)
     columns, planes = (np.tile(half, (len(shown), 1)) for half in (_COLUMN, _PLANE - margin))  # planes need no margin
     solids = Solids(
         np.concatenate([things.centers, centers[shown], centers[shown]]),

@@ -25,7 +25,7 @@ from cognitivedrone.types import (
     Vector,
     Vectors,
 )
-from cognitivedrone.world.geometry import gate_centers, gate_yaws
+from cognitivedrone.world.geometry import choices, gate_centers, gate_yaws
 
 _PERIOD_S = 1 / CONTROL_HZ
 _ABOVE_M, _SINK_M_S = 0.15, 0.4  # nearer than this it is above a pad, and comes down
@@ -159,7 +159,7 @@ class Detour:
         self._origin, self._yaw = np.array([*stage.origin, 0.0]), stage.yaw
         for spare in _SPARES_M:
             margin = hull_radius + spare
-            self._ways = ways_to(target, stage.obstacles, stage.landmark, stage.layout, margin, stage.only)
+            self._ways = ways_to(target, stage.obstacles, stage.landmark, stage.layout, margin, choices(stage))
             if self._ways.ahead(self._local(start)) is not None:
                 break
         centers, yaws = gate_places(stage.layout)

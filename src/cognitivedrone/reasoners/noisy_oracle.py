@@ -83,4 +83,7 @@ class NoisyOracle(Reasoner):
         luck, other = self._rng.uniform(), int(self._rng.integers(1, 3))
         # Racing has no accuracy, because it has no choice to make; absent has none of its own either.
         right = task.only is not None or luck < self.accuracy.get(task.category, 1.0)
-        return task.target if right else ((task.target or 0) + other) % 3
+        if right:
+            return task.target
+        wrong = ((task.target or 0) + other) % 3
+        return ((task.target or 0) + 3 - other) % 3 if wrong == task.missing else wrong

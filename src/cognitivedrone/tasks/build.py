@@ -24,7 +24,7 @@ from cognitivedrone.layout import draw_layout
 from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, generator
 from cognitivedrone.tasks.families.absent import KINDS, LOOKS, absent_puzzle
 from cognitivedrone.tasks.families.clutter import KINDS as OBSTACLES
-from cognitivedrone.tasks.families.clutter import MOVERS, cluttered, crossed
+from cognitivedrone.tasks.families.clutter import MOVERS, cluttered, crossed, several
 from cognitivedrone.tasks.families.memory import memory_track
 from cognitivedrone.tasks.families.mission_tasks import mission_tracks
 from cognitivedrone.tasks.families.racing import INSTRUCTIONS, single_gate
@@ -54,6 +54,9 @@ HARD_IN_PLACES: dict[str, int] = dict.fromkeys(
     ("conjunction", "exclusion", "comparison", "two_step"), 10
 ) | dict.fromkeys(("relations", "negation", "counting", "distraction"), 5)
 """Tasks of the harder families in `places`, 20 per category; every third task of the suite has another layout."""
+_SIZES = {
+    "test": 300, "unseen": 150, "smoke": 30, "track": 100, "layouts": 300, "clutter": 200, "moving": 120, "gates": 90,
+}  # fmt: skip
 LOOKS_ASKED = 20
 """Tasks of `absent` that name a gate by its looks; the other 180 are of the ten base families in equal numbers."""
 RACES = 20
@@ -116,15 +119,14 @@ def build_suite(name: str) -> list[Track]:
 
 
 def _choices(name: str, rng: np.random.Generator, dealer: Dealer) -> list[list[Task]]:
-    """The tracks of a suite whose tasks have three gates."""
+    """The tracks of a suite of single choices."""
     pools = HELD_OUT if name == "unseen" else TRAIN
     if name == "hard":
         shares = {family: count for family, count in HARD_SHARES.items() if family != "memory"}
     elif name == "places":
         shares = equal_shares(200 - sum(HARD_IN_PLACES.values())) | HARD_IN_PLACES
     else:
-        sizes = {"test": 300, "unseen": 150, "smoke": 30, "track": 100, "layouts": 300, "clutter": 200, "moving": 120}
-        shares = equal_shares(sizes[name])
+        shares = equal_shares(_SIZES[name])
     tasks = [task for family, count in shares.items() for task in _family(rng, dealer, pools, family, count)]
     if name == "places":
         tasks = [_laid_out(rng, task) if number % 3 == 0 else task for number, task in enumerate(tasks)]
@@ -136,6 +138,9 @@ def _choices(name: str, rng: np.random.Generator, dealer: Dealer) -> list[list[T
     if name == "moving":
         kinds, counts = dealer.hand("obstacle", MOVERS, len(tasks)), dealer.hand("count", range(1, 6), len(tasks))
         tasks = [crossed(rng, *each) for each in zip(tasks, kinds, counts, strict=True)]
+    if name == "gates":
+        counts = dealer.hand("count", range(2, 7), len(tasks))
+        tasks = [several(rng, *each) for each in zip(tasks, counts, strict=True)]
     if name == "track":
         n_tracks = len(tasks) // STAGES_A_TRACK
         tracks = [_shuffled(rng, tasks[i::n_tracks]) for i in range(n_tracks)]

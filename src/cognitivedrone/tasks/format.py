@@ -2,10 +2,10 @@
 
 Published keys are `prompt`, `prompt_simpler`, `options`, `correct` (1 to 3), `gates` (a dict keyed "1" to "3", or a
 list of `{"gate": "1", ...}`), `background`, and for sums on the board `task: {d1, operator, d2}`. Our optional keys
-are `id`, `category`, `family`, `labels`, `board`, for a gate that stands alone its number `only`, `layout` with the
-gate layout, keyed "1" to "3" as well, `landing` (true) for pads on the floor instead of gates, `mission`, the sentence
-of a whole track, `obstacles`, a list of what is in the way, and `landmark`, a panel without a gate. In the family
-`absent`, `correct` is null.
+are `id`, `category`, `family`, `labels`, `board`, for a gate that stands alone its number `only`, for one that does not
+stand its number `missing`, `layout` with the gate layout, keyed "1" to "3" as well, `landing` (true) for pads on the
+floor instead of gates, `mission`, the sentence of a whole track, `obstacles`, a list of what is in the way, and
+`landmark`, a panel without a gate. In the family `absent`, `correct` is null.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _SUM_IN_PROMPT = re.compile(r"\d\s*[-+*]\s*\d")
 _KEYS = ("prompt", "prompt_simpler", "options", "correct", "gates", "background")
 _OPTIONAL = (
     "task", "id", "category", "family", "labels", "board", "only", "layout", "landing", "mission", "obstacles",
-    "landmark",
+    "landmark", "missing",
 )  # fmt: skip
 _PLACE = tuple(GatePlace.__dataclass_fields__)
 MAX_OBSTACLES = 20
@@ -98,6 +98,8 @@ def task_to_json(task: Task) -> dict[str, Any]:
         obj["board"] = task.board
     if task.only is not None:
         obj["only"] = task.only + 1
+    if task.missing is not None:
+        obj["missing"] = task.missing + 1
     if task.layout is not None:
         obj["layout"] = {str(number): asdict(place) for number, place in enumerate(task.layout, 1)}
     if task.landing:
@@ -149,7 +151,8 @@ def task_from_json(obj: object, *, where: str, kind: str | None = None, default_
         gates=_gates(obj["gates"], where),
         board=_board(obj, where),
         background=obj["background"],
-        only=_only(obj, where),
+        only=_number(obj, "only", "the gate that stands alone", where),
+        missing=_number(obj, "missing", "a gate that does not stand", where),
         layout=_layout(obj, where),
         landing=_landing(obj, where),
         mission=obj.get("mission"),
@@ -208,14 +211,13 @@ def _gates(value: object, where: str) -> tuple[Gate, Gate, Gate]:
     return gates[0], gates[1], gates[2]
 
 
-def _only(obj: Mapping[str, Any], where: str) -> int | None:
-    number = obj.get("only")
+def _number(obj: Mapping[str, Any], key: str, what: str, where: str) -> int | None:
+    """The index of a gate whose number a task may have."""
+    number = obj.get(key)
     if number is None:
         return None
     if type(number) is not int or not 1 <= number <= 3:
-        raise TaskError(
-            f"{where}: only is {repr(number)[:40]}; it must be 1, 2 or 3, the number of the gate that stands alone"
-        )
+        raise TaskError(f"{where}: {key} is {repr(number)[:40]}; it must be 1, 2 or 3, the number of {what}")
     return number - 1
 
 

@@ -131,7 +131,7 @@ def match_task(asked: Sequence[str], task: Task) -> Match | None:
     """The match of a task with the requested words; None if no panel fits."""
     if task.only is not None:
         return None
-    weights = [_weights(asked, panel_words(task, gate)) for gate in range(3)]
+    weights = [{} if gate == task.missing else _weights(asked, panel_words(task, gate)) for gate in range(3)]
     totals = [sum(each.values()) for each in weights]
     order = sorted(range(3), key=lambda gate: -totals[gate])
     best = order[0]
@@ -186,7 +186,7 @@ def _look_match(sentence: str, task: Task) -> Match | None:
     """The gate that a sentence names by its appearance."""
     gate = fitting_gate(sentence, task.gates)
     words = tuple(str(word) for word in parse_directive(sentence) if word)
-    if gate is None or task.only is not None:
+    if gate is None or task.only is not None or gate == task.missing:
         return None
     return Match(gate, words, (), len(words), len(words), gate == task.target, shown=False)
 

@@ -108,6 +108,16 @@ def _check_absent(task: Task, where: str) -> None:
         raise TaskError(f"{where}: prompt_simpler is {task.directive[:40]!r}; in the family 'absent' it is {HOLD!r}")
 
 
+def _check_missing(task: Task, where: str) -> None:
+    if task.missing is None:
+        return
+    if type(task.missing) is not int or task.missing not in (0, 1, 2) or task.missing == task.target:
+        shown = task.missing + 1 if isinstance(task.missing, int) else task.missing
+        raise TaskError(f"{where}: missing is {shown!r}; it must be the number of a gate that is not the right one")
+    if task.landing or task.only is not None:
+        raise TaskError(f"{where}: missing is for stages with two gates; leave it out beside landing and only")
+
+
 def _check_landing(task: Task, where: str) -> None:
     if task.landing and (task.layout or task.board or task.only is not None or task.target is None):
         raise TaskError(f"{where}: a landing has three pads and nothing else; leave out layout, board and only")
@@ -152,7 +162,7 @@ def occupied(task: Task, solids: Solids) -> str:
     low = np.array([START[0], START[1], (START[2] + side) / 2])
     if solids.meets(low, 0.0, np.array([side, side, low[2]])).any():
         return "the start box"
-    for index in range(3) if task.only is None else (task.only,):
+    for index in (gate for gate in range(3) if task.only in (None, gate) and task.missing != gate):
         place = None if task.layout is None else task.layout[index]
         x, y = GATE_XY[index] if place is None else (place.x, place.y)
         height, yaw = (GATE_HEIGHT, GATE_YAWS[index]) if place is None else (place.height, place.yaw)
@@ -195,6 +205,7 @@ def validate_task(task: Task, where: str) -> None:
             f"{where}: only gate {shown!r} stands, but the right gate is {_shown(task.target)}; make only equal to "
             "correct, or leave it out"
         )
+    _check_missing(task, where)
     check_gates(task.gates, where)
     for names, what in ((task.options, "options"), (task.labels, "labels")):
         if len(names) != 3:

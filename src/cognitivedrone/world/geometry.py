@@ -118,18 +118,18 @@ def solids(stage: Stage) -> Solids:
 
 
 def standing(stage: Stage) -> tuple[int, ...]:
-    """Indices of the gates in the stage: all three, the only one, or none where there are pads."""
+    """Indices of the gates in the stage: all three, two, the only one, or none where there are pads."""
     return () if stage.landing else choices(stage)
 
 
 def choices(stage: Stage) -> tuple[int, ...]:
     """Indices of what a flight can end in: the gates that stand, or the three pads."""
-    return (0, 1, 2) if stage.only is None else (stage.only,)
+    return tuple(gate for gate in range(3) if stage.only in (None, gate) and stage.missing != gate)
 
 
 def panelled(stage: Stage) -> tuple[int, ...]:
-    """Indices of the gates with a panel: all three, or none if one gate stands alone."""
-    return (0, 1, 2) if stage.only is None and not stage.landing else ()
+    """Indices of the gates with a panel: all that stand, or none if one gate stands alone."""
+    return choices(stage) if stage.only is None and not stage.landing else ()
 
 
 def next_stage_origin(stage: Stage, gate_index: int) -> tuple[tuple[float, float], float]:

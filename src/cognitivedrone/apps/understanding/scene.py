@@ -339,7 +339,8 @@ def _panels(task: Task) -> str:
         return "pads"
     if task.only is not None:
         return "one gate"
-    names = [_shown(option, label) for option, label in zip(task.options, task.labels, strict=True)]
+    panels = enumerate(zip(task.options, task.labels, strict=True))
+    names = [_shown(*panel) for index, panel in panels if index != task.missing]
     if len(set(names)) == 1:
         return f"{names[0]} at every gate"
     return f"{', '.join(names[:-1])} and {names[-1]} from left to right"

@@ -6,6 +6,7 @@ What moves counts as everywhere on its way.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -37,8 +38,18 @@ ROWS_M: Final = 1.6
 """Between the nearest and the farthest gate of two rows, along the stage's x axis."""
 
 
-def cluttered(rng: np.random.Generator, task: Task, kind: ObstacleKind, count: int) -> Task:
-    """The task with `count` obstacles, the first of this kind and in the way.
+def several(rng: np.random.Generator, task: Task, count: int) -> Task:
+    """The task with `count` gates, 2 to 6: two or three with a panel, and for the others empty frames in the way."""
+    two = count == 2 or (count < 6 and bool(rng.integers(2)))
+    wrong = [gate for gate in range(3) if gate != right_gate(task)]
+    missing = wrong[rng.integers(2)] if two else None
+    return cluttered(rng, replace(task, missing=missing), "frame", count - (2 if two else 3), ("frame",))
+
+
+def cluttered(
+    rng: np.random.Generator, task: Task, kind: ObstacleKind, count: int, kinds: Sequence[ObstacleKind] = KINDS
+) -> Task:
+    """The task with `count` obstacles of these kinds, the first of `kind` and in the way.
 
     Two of three get a gate layout of their own, and half of those without a board a landmark. In one of a thousand
     layouts there is no room: a task that has such a one gets another.
@@ -51,7 +62,7 @@ def cluttered(rng: np.random.Generator, task: Task, kind: ObstacleKind, count: i
             laid_out = replace(task, layout=draw_layout(rng, task.gates, board=task.board is not None))
         found = _with_landmark(rng, laid_out) if marked else laid_out
         for number in range(count):
-            shape = KINDS[rng.integers(len(KINDS))] if number else kind
+            shape = kinds[int(rng.integers(len(kinds)))] if number else kind
             found = found and _with_obstacle(rng, found, shape, first=number == 0)
         if found is not None and has_ways(found):
             return found
