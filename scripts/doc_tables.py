@@ -454,7 +454,7 @@ TABLES: Final[dict[str, Description]] = {
                 for name in ("oracle", "small_gold", "small", "r1")
             ),
         )
-        for suite in ("clutter", "moving")
+        for suite in ("clutter", "moving", "gates")
     },
     # docs/play.md
     "live-page": rows_of(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from cognitivedrone.envs.track_runner import stage_of
 from cognitivedrone.errors import TaskError
 from cognitivedrone.layout import draw_layout
 from cognitivedrone.layout.obstacles import solids_of
@@ -26,7 +28,9 @@ from cognitivedrone.tasks.families.clutter import (
     seen_share,
 )
 from cognitivedrone.tasks.format import task_from_json, task_to_json
+from cognitivedrone.world import geometry
 
+GATES = [task for (task,) in load_suite("open-v3:gates").tracks]
 MOVING = [task for (task,) in load_suite("open-v3:moving").tracks]
 TASKS = [task for (task,) in load_suite("open-v3:clutter").tracks]
 PLAIN = next(task for (task,) in load_suite("open-v1:test").tracks if task.board is None)
@@ -71,6 +75,34 @@ def test_wherever_the_moving_things_are_there_is_a_way_and_the_panels_are_seen(t
     solids = solids_of(task.obstacles, task.landmark)
     for time in np.linspace(0.0, task.obstacles[0].period, 12):
         assert seen_share(solids.at(time), task.layout) >= SEEN
+
+
+def test_two_to_six_gates_are_as_frequent_and_the_right_one_is_always_there():
+    counts = Counter(3 - (task.missing is not None) + len(task.obstacles) for task in GATES)
+    assert counts == dict.fromkeys(range(2, 7), 18)
+    assert {each.kind for task in GATES for each in task.obstacles} == {"frame"}
+    assert all(task.missing != task.target for task in GATES)
+    assert Counter(task.missing for task in GATES)[None] == 43
+
+
+@pytest.mark.parametrize(("missing", "message"), [
+    (PLAIN.target + 1, "must be the number of a gate that is not the right one"),
+    (4, "it must be 1, 2 or 3"),
+    (True, "it must be 1, 2 or 3"),
+])  # fmt: skip
+def test_only_a_wrong_gate_can_be_missing(missing, message):
+    with pytest.raises(TaskError, match=message):
+        read([], missing=missing)
+
+
+def test_a_missing_gate_comes_back_from_a_file_and_is_nowhere():
+    wrong = (PLAIN.target + 1) % 3
+    task = read([], missing=wrong + 1)
+    assert task == replace(PLAIN, missing=wrong)
+    assert task_to_json(task)["missing"] == wrong + 1
+    stage = stage_of(task)
+    assert wrong not in {*geometry.standing(stage), *geometry.panelled(stage), *geometry.choices(stage)}
+    assert len(geometry.standing(stage)) == 2
 
 
 def test_a_file_holds_how_something_moves():

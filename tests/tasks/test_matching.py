@@ -57,6 +57,12 @@ def test_a_bird_is_found_among_other_animals(sentence):
     assert match_task(asked_words(sentence), task).gate == 1
 
 
+def test_the_panel_of_a_missing_gate_fits_nothing():
+    task = scene("cat", "owl", "horse")
+    assert match_task(asked_words("the owl"), replace(task, missing=1)) is None
+    assert match_task(asked_words("the cat"), replace(task, missing=1)).gate == 0
+
+
 def test_where_no_panel_fits_there_is_no_match():
     assert match_task(("bird",), scene("cat", "dog", "horse")) is None
 
