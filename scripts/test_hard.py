@@ -114,6 +114,7 @@ def main() -> int:
     parser.add_argument("--only", action="append", default=[], metavar="WORD", help="runs that have it in their name")
     parser.add_argument("tests", nargs="*")
     options = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # an exception here ends pytest as well
     pytest = [sys.executable, "-m", "pytest", "-n", "3", "--dist", "worksteal", *options.tests]
     done: list[tuple[str, int, float]] = []
     for run in chosen(runs(options.seed), options.only):
