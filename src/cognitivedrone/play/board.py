@@ -277,7 +277,7 @@ def event_table(event: Event) -> dict[str, Any]:
 
 
 def scene_table(scene: Scene) -> dict[str, Any]:
-    """A scene from above, in the world, m: gates with centre, ends and what they show, and outlines of obstacles."""
+    """A scene from above, in the world, m: gates with number, centre, ends and what they show; outlines of solids."""
     stage = scene.stage
     centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
     gates = []
@@ -287,6 +287,7 @@ def scene_table(scene: Scene) -> dict[str, Any]:
         along = rotate_yaw(np.array([0.0, half, 0.0]), float(yaws[index]))
         gates.append(
             {
+                "number": index + 1,
                 "at": _rounded(centers[index]),
                 "ends": [_rounded(centers[index] + along), _rounded(centers[index] - along)],
                 "color": gate.color,

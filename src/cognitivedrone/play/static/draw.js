@@ -34,7 +34,7 @@ export function drawMap(canvas, scene, path, live) {
     pen.fill();
   });
   pen.font = "14px system-ui, sans-serif";
-  gates.forEach((gate, index) => {
+  gates.forEach((gate) => {
     const [a, b] = gate.ends.map((end) => page(local(end))), [x, y] = page(local(gate.at));
     pen.strokeStyle = COLORS[gate.color];
     pen.lineWidth = 6;
@@ -44,7 +44,7 @@ export function drawMap(canvas, scene, path, live) {
     pen.textAlign = "center";
     const far = x > 0.8 * canvas.width;
     pen.textAlign = far ? "right" : "left";
-    pen.fillText(`${index + 1} ${gate.name}`, x + (far ? -10 : 10), y + 5);
+    pen.fillText(`${gate.number} ${gate.name}`, x + (far ? -10 : 10), y + 5);
   });
   pen.textAlign = "left";
   if (!live.position) return;
