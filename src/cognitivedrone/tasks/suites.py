@@ -70,7 +70,7 @@ ABOUT: dict[str, str] = {
     "open-v3:photos": "held out: photographs on the panels",
     "open-v3:missions": "missions: one sentence for up to 4 stages and a landing; 50 of 150 typed, held out",
     "open-v3:clutter": "obstacles in the way, empty frames, landmarks; the rest as test and layouts",
-    "open-v3:moving": "gates in two rows; somebody or something moves across the way; the rest as test",
+    "open-v3:moving": "gates in two rows; something moves across the way; the rest as test",
     "open-v3:gates": "2 to 6 gates: two or three with panels, and empty frames; the rest as test",
     "open-v3:places": "held out: photographed places around the stage; the rest as test, hard and layouts",
     "open-v3:wild": "held out: pictures in bad light, sentences and layouts; varied room, wind",
