@@ -86,6 +86,12 @@ def test_both_wrong_gates_are_named_about_as_often():
     assert min(wrong.values()) > len(TASKS) / 3
 
 
+def test_a_gate_that_does_not_stand_is_never_named():
+    lacking = [replace(task, missing=(task.target + 1) % 3) for task in TASKS]
+    given = answers(NoisyOracle(0), lacking)
+    assert all(answer.gate == (task.target + 2) % 3 for answer, task in zip(given, lacking, strict=True))
+
+
 def test_same_seed_same_answers():
     assert answers(NoisyOracle(0.5), seed=3) == answers(NoisyOracle(0.5), seed=3)
     assert answers(NoisyOracle(0.5), seed=3) != answers(NoisyOracle(0.5), seed=4)

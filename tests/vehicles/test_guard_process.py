@@ -227,6 +227,13 @@ def test_a_pilot_process_that_is_killed_is_landed_at_once():
         soon(lambda: landing(peer))
 
 
+def test_a_pilot_process_that_is_stopped_is_landed():
+    with playing() as peer, pilot(peer) as process:
+        soon(lambda: peer.setpoints_since(0))
+        process.send_signal(signal.SIGSTOP)
+        soon(lambda: landing(peer))
+
+
 def test_a_pilot_process_that_holds_the_interpreter_is_stopped_braked_and_landed():
     holds = "import re; re.match('(a+)+$', 'a' * 60 + 'b')"  # one call into C that takes years
     with playing() as peer, pilot(peer, holds):

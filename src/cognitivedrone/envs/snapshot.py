@@ -103,9 +103,7 @@ def _heading(task: Task, where: str) -> PillowImage.Image:
         pen.text((_GAP, top + 8), "No gate matches the instruction", _RIGHT, font(26))
         top += 40
     top += 14
-    for index in range(3):
-        if task.only not in (None, index) or task.missing == index:
-            continue
+    for index in geometry.choices(task):
         right = index == task.target
         _badge(pen, _GAP + _BADGE, top + _BADGE, index + 1, right=right)
         text = f"{task.gates[index].color} pad" if task.landing else _look(task.gates[index])

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.frames import world_to_heading
-from cognitivedrone.types import FloatArray, Gate, GatePlace, Layout
+from cognitivedrone.types import FloatArray, Gate, GatePlace, Layout, Stage, Task
 
 GATE_XY: Final = np.array([[4.0, 4.0], [5.0, 0.0], [4.0, -4.0]])
 """Gate centres from the stage's origin, in the stage frame, m."""
@@ -71,6 +71,11 @@ STARTS: Final = START + START_HALF_EXTENT * np.array(
 )
 """(9, 3) the middle of the start box, and its corners as far as a drone may start there."""
 _SHARES = np.linspace(0.0, 1.0, 15)[:, None]
+
+
+def choices(stage: Stage | Task) -> tuple[int, ...]:
+    """Indices of what a flight can end in: the gates that stand, or the three pads."""
+    return tuple(gate for gate in range(3) if stage.only in (None, gate) and stage.missing != gate)
 
 
 def draw_layout(rng: np.random.Generator, gates: tuple[Gate, Gate, Gate], *, board: bool = False) -> Layout:

@@ -17,6 +17,7 @@ from cognitivedrone.layout import (
     PANEL_RISE,
     START,
     START_HALF_EXTENT,
+    choices,
 )
 from cognitivedrone.layout.obstacles import LANDMARK_SIDE, Solids, solids_of
 from cognitivedrone.tasks.directives import HOLD, declines, parse_directive
@@ -162,7 +163,7 @@ def occupied(task: Task, solids: Solids) -> str:
     low = np.array([START[0], START[1], (START[2] + side) / 2])
     if solids.meets(low, 0.0, np.array([side, side, low[2]])).any():
         return "the start box"
-    for index in (gate for gate in range(3) if task.only in (None, gate) and task.missing != gate):
+    for index in choices(task):
         place = None if task.layout is None else task.layout[index]
         x, y = GATE_XY[index] if place is None else (place.x, place.y)
         height, yaw = (GATE_HEIGHT, GATE_YAWS[index]) if place is None else (place.height, place.yaw)

@@ -29,6 +29,7 @@ from cognitivedrone.layout import PANEL_RISE as PANEL_RISE
 from cognitivedrone.layout import START as START
 from cognitivedrone.layout import START_HALF_EXTENT as START_HALF_EXTENT
 from cognitivedrone.layout import START_MIN_HEIGHT as START_MIN_HEIGHT
+from cognitivedrone.layout import choices as choices
 from cognitivedrone.layout.obstacles import LANDMARK_SIDE, Solids, solids_of
 from cognitivedrone.types import FloatArray, Gate, Size, Stage, Vector, Vectors
 
@@ -120,11 +121,6 @@ def solids(stage: Stage) -> Solids:
 def standing(stage: Stage) -> tuple[int, ...]:
     """Indices of the gates in the stage: all three, two, the only one, or none where there are pads."""
     return () if stage.landing else choices(stage)
-
-
-def choices(stage: Stage) -> tuple[int, ...]:
-    """Indices of what a flight can end in: the gates that stand, or the three pads."""
-    return tuple(gate for gate in range(3) if stage.only in (None, gate) and stage.missing != gate)
 
 
 def panelled(stage: Stage) -> tuple[int, ...]:

@@ -124,7 +124,7 @@ def restore(tensors: dict[str, Tensor], network: nn.Module, optimizer: torch.opt
 def check_moments(where: str, weight: Tensor, moments: dict[str, Tensor]) -> None:
     """Raise `TrainingError` for what AdamW cannot have of a weight: one step with it would spoil the network."""
     if moments.keys() != MOMENTS.keys():
-        found = ", ".join(map(visible, sorted(moments)))
+        found = ", ".join(visible(key) or "a nameless tensor" for key in sorted(moments))
         raise TrainingError(f"the checkpoint's {where} has {found}, not {', '.join(MOMENTS)}; {_ANEW}")
     for key, value in moments.items():
         shape = () if key == "step" else weight.shape
