@@ -26,7 +26,8 @@ def followed(speed: float, own: tuple[float, float], turn: float = 0.0, seconds:
     """The last velocity found, (3,), of a pillar 3 m ahead that moves to the left at `speed` past a drone that flies at
     `own`, m/s, and turns by `turn`, rad/s.
     """
-    movement, velocities = Movement(), np.zeros((1, 3))
+    movement = Movement()
+    velocities: np.ndarray = np.zeros((1, 3))
     for step in range(round(seconds / STEP_S)):
         time = step * STEP_S
         yaw = turn * time
