@@ -1,10 +1,9 @@
 """Flying around obstacles: a policy's command is turned away from what is in its way.
 
 What the obstacle eye sees in each frame becomes points around the drone. They are remembered for a while, moved by the
-drone's own motion and, where they move themselves (`movement`), by theirs: beside an obstacle, which the camera no
-longer shows, the policy would turn back to its gate and into it. Of many directions, the one nearest to the command's
-is taken along which no point comes too near (as in the vector field histogram, Borenstein and Koren 1991), neither
-where it is now nor where it will be.
+drone's own motion: beside an obstacle, which the camera no longer shows, the policy would turn back to its gate and
+into it. Of many directions, the one nearest to the command's is taken along which no point comes too near (as in the
+vector field histogram, Borenstein and Koren 1991).
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ from numpy.typing import NDArray
 
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.models.eyes.obstacle_eye import PARTS
-from cognitivedrone.policies.movement import Movement
 from cognitivedrone.sim.drawing.views import FOCAL_PX, MOUNT
 from cognitivedrone.types import IMAGE_SIZE, Action, FloatArray, Vector, Vectors
 
@@ -27,8 +25,6 @@ _EDGE: Final = 0.9 * IMAGE_SIZE / 2 / FOCAL_PX
 _TURNS: Final = np.radians(np.arange(-75.0, 76.0, 7.5))
 _CLIMBS: Final = np.radians(np.arange(-45.0, 46.0, 9.0))
 _OTHERS: Final = np.array([(turn, climb) for turn in _TURNS for climb in _CLIMBS if abs(turn) + abs(climb) > 1e-9])
-_FAINT: Final = 0.2  # probability of a part that says where the middle of a thing is
-_STILL: Final = 0.05  # least square of a speed, relative to the drone's, at which something comes nearer
 _HOVERING_M_S: Final = 0.15  # slower commands stay as they are
 _AHEAD_M: Final = 1.2  # on a way, where its height is looked at
 _CLIMB: Final = 0.35  # rather beside than over or under: gates stand at about the drone's own height
@@ -63,10 +59,8 @@ class Avoidance:
     def __init__(self, config: AvoidanceConfig | None = None) -> None:
         self.config = config or AvoidanceConfig()
         self._points = np.zeros((0, 3))  # heading frame, from the drone's centre, m
-        self._velocities = np.zeros((0, 3))  # heading frame, m/s
         self._radii = np.zeros(0)
         self._ages = np.zeros(0)
-        self._movement = Movement()
         self._time: float | None = None
         self._last: Vector | None = None  # direction of the detour that is flown
 
@@ -80,28 +74,22 @@ class Avoidance:
         passed = 0.0 if self._time is None else time - self._time
         self._time = time
         if not 0 <= passed <= config.memory_s:
-            self._points, self._velocities = np.zeros((0, 3)), np.zeros((0, 3))
-            self._radii, self._ages, self._movement = np.zeros(0), np.zeros(0), Movement()
-        own, turn = np.asarray(velocity, float), yaw_rate * passed
-        known = rotate_yaw(self._points + (self._velocities - own) * passed, -turn)
+            self._points, self._radii, self._ages = np.zeros((0, 3)), np.zeros(0), np.zeros(0)
+        known = rotate_yaw(self._points - np.asarray(velocity, float) * passed, -yaw_rate * passed)
         ages = self._ages + passed
         kept = ~_in_view(known) & (ages < config.memory_s) & (np.linalg.norm(known, axis=1) < 2 * config.horizon_m)
-        row, column = np.nonzero(occupied > _FAINT)
-        far, chance = (each[row, column].astype(float) for each in (depth, occupied))
+        row, column = np.nonzero(occupied > config.sure)
+        far = depth[row, column].astype(float)
         seen = np.stack([far, _SIDES[column] * far, _SIDES[row] * far], axis=1) + MOUNT
-        self._movement.fly(own * passed, turn, passed)
-        moving = self._movement.see(row, column, far, seen, chance)
-        clear = chance > config.sure
-        self._points = np.concatenate([known[kept], seen[clear]])
-        self._velocities = np.concatenate([rotate_yaw(self._velocities, -turn)[kept], moving[clear]])
-        self._radii = np.concatenate([self._radii[kept], 0.5 * _HALF_PART * far[clear]])
-        self._ages = np.concatenate([ages[kept], np.zeros(clear.sum())])
+        self._points = np.concatenate([known[kept], seen])
+        self._radii = np.concatenate([self._radii[kept], 0.5 * _HALF_PART * far])
+        self._ages = np.concatenate([ages[kept], np.zeros(len(far))])
 
     def around(self, action: Action, velocity: Vector, height: float) -> Action:
         """The command (4,) that flies around what is in the way; the given one, where nothing is."""
         config, wanted = self.config, np.asarray(action[:3], float)
         speed = float(np.linalg.norm(wanted))
-        points = self._points + (self._velocities - np.asarray(velocity, float)) * config.lag_s
+        points = self._points - np.asarray(velocity, float) * config.lag_s
         distance = np.linalg.norm(points, axis=1)
         matters = distance - self._radii < config.horizon_m
         if speed < _HOVERING_M_S or not matters.any():
@@ -113,10 +101,7 @@ class Avoidance:
         climb = np.abs(np.arcsin(np.clip(ways[:, 2], -1.0, 1.0)) - np.arcsin(np.clip(ahead[2], -1.0, 1.0)))
         later = height + _AHEAD_M * ways[:, 2]
         outside = np.maximum(config.lowest_m - later, 0.0) + np.maximum(later - config.highest_m, 0.0)
-        near = points[matters], self._radii[matters], distance[matters]
-        lack = self._lack(ways, np.zeros((int(matters.sum()), 3)), *near)
-        if (drift := self._velocities[matters] / speed).any():
-            lack = np.maximum(lack, self._lack(ways, drift, *near))
+        lack = self._lack(ways, points[matters], self._radii[matters], distance[matters])
         cost = turn + _CLIMB * climb + _BLOCKED * lack + _OUTSIDE * outside
         if self._last is not None:
             cost = cost + _STEADY * np.arccos(np.clip(ways @ self._last, -1.0, 1.0))
@@ -127,17 +112,11 @@ class Avoidance:
         slower = max(_SLOWEST, 1.0 - _SLOWING * float(turn[best]))
         return np.array([*(ways[best] * speed * slower), action[3]], dtype=np.float32)
 
-    def _lack(
-        self, ways: Vectors, drift: Vectors, points: Vectors, radii: FloatArray, distance: FloatArray
-    ) -> FloatArray:
-        """How much room is lacking along directions (n, 3), 0 to 2; less where that is far away. The points move by
-        `drift` (points, 3) for each metre of the way.
-        """
+    def _lack(self, ways: Vectors, points: Vectors, radii: FloatArray, distance: FloatArray) -> FloatArray:
+        """How much room is lacking along directions (n, 3), 0 to 2; less where that is far away."""
         room = self.config.room_m
-        closing = ways[:, None] - drift
-        along = (closing * points).sum(axis=-1) / np.maximum((closing * closing).sum(axis=-1), _STILL)
-        along = np.clip(along, 0.0, self.config.horizon_m)
-        between = np.linalg.norm(points - along[..., None] * closing, axis=-1) - radii
+        along = np.clip(ways @ points.T, 0.0, self.config.horizon_m)
+        between = np.linalg.norm(points - along[..., None] * ways[:, None], axis=-1) - radii
         lack = np.clip((room - between) / room, 0.0, 2.0) * (along > 0)
         found: FloatArray = (lack * np.minimum(1 / np.maximum(distance, 0.5), 1.0)).max(axis=1)
         return found
