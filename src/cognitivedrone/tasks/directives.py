@@ -76,12 +76,7 @@ def looks_asked(text: str) -> tuple[Size | None, Color | None, Shape | None] | N
     found = [next((kind for kind, known in enumerate(_LOOKS) if word in known), None) for word in words]
     if not words or "gate" not in said or None in found or len({*found}) < len(found):
         return None
-    told = dict(zip(found, words, strict=True))
-    return (
-        _SIZES[told[0]] if 0 in told else None,
-        _COLORS[told[1]] if 1 in told else None,
-        _SHAPES[told[2]] if 2 in told else None,
-    )
+    return parse_directive(" ".join(words))
 
 
 def fitting_gate(text: str, gates: Sequence[Gate]) -> int | None:
