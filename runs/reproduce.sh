@@ -34,7 +34,7 @@ exec 9< "$out" # open until the last program of the script has ended, and with i
 headline=(open-v2:words open-v2:pictures open-v1:unseen open-v2:layouts open-v2:absent open-v1:test open-v1:hard)
 case $size in
   full) sets=(500 2000 8062) short=() episodes=() everything=1 selector=selector language=language obstacles=obstacles
-    suites=("${headline[@]}" open-v2:test open-v1:track) ;;
+    suites=("${headline[@]}" open-v3:words open-v3:photos open-v2:test open-v1:track) ;;
   tiny) sets=(12) short=(--steps 3) episodes=(--episodes 3) everything='' selector=debug-selector language=debug-language
     obstacles=debug-obstacles
     headline=(open-v1:test) suites=(open-v1:test) ;;
@@ -106,7 +106,10 @@ done
 bench race open-v1:race --policy "$race"
 bench random open-v1:test --policy random
 bench small_oracle open-v1:test --policy "$policy" --reasoner oracle
+wild=(--appearance varied --wind 2)
 if [[ $everything ]]; then
+  bench small open-v3:wild --policy "$policy" "${wild[@]}"
+  bench r1 open-v3:wild --policy "$policy" --reasoner "$reasoner" "${wild[@]}"
   bench small open-v1:test+varied --policy "$policy" --appearance varied
   bench small open-v1:test+wind --policy "$policy" --wind 0.5
   for suite in open-v3:places open-v1:test; do
@@ -140,6 +143,9 @@ for suite in "${suites[@]}"; do
   [[ -e $answers/reason.json ]] && continue
   cognitivedrone reason --reasoner "$reasoner" --suite "$suite" --out "$answers" --overwrite "${episodes[@]}"
 done
+if [[ $everything && ! -e $out/reason/open-v3-wild/reason.json ]]; then
+  cognitivedrone reason --reasoner "$reasoner" --suite open-v3:wild "${wild[@]}" --out "$out/reason/open-v3-wild" --overwrite
+fi
 
 # results/missions.json
 if [[ $everything ]]; then

@@ -12,6 +12,7 @@ from score_tables import (
     DRAWN_ANEW,
     HELD_OUT,
     MORE,
+    OPENED_LAST,
     README_SUITES,
     all_runs,
     audits,
@@ -71,6 +72,7 @@ TABLES: Final[dict[str, Description]] = {
     # docs/scores.md
     "paper": paper,
     "held-out": by_suite(PILOTS_AND_BASELINES, HELD_OUT),
+    "opened-last": by_suite(("r1", "small"), OPENED_LAST),
     "in-distribution": by_suite(PILOTS_AND_BASELINES, (*DRAWN_ANEW, *MORE, "open-v1:race")),
     "conditions": other_conditions("r1", "small", "oracle"),
     "scores": all_runs,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from table_kinds import NOT_MEASURED, Description, Store, Table, cell
+from table_kinds import NOT_MEASURED, Description, Store, Table, cell, own_options
 
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.scores.published import PUBLISHED
@@ -26,6 +26,7 @@ PILOTS = {
 }
 """Files of submissions, and how tables name the pilots."""
 HELD_OUT = ("open-v2:words", "open-v2:pictures", "open-v1:unseen", "open-v2:layouts", "open-v2:absent")
+OPENED_LAST = ("open-v3:words", "open-v3:photos", "open-v3:wild")
 DRAWN_ANEW = ("open-v1:test", "open-v1:hard")
 README_SUITES = (
     "open-v1:test",
@@ -98,7 +99,7 @@ def other_conditions(*pilots: str) -> Description:
         for pilot in pilots:
             for run in store.runs(pilot):
                 flags, suite = flags_of(run), run.run.suite.name
-                if flags == f"--suite {suite}":
+                if flags == f"--suite {suite}" or run.flown_with(**own_options(suite)):
                     continue
                 usual = store.summary(pilot, suite)
                 without = share(usual.overall.rate) if usual else NOT_MEASURED
@@ -196,7 +197,7 @@ def reasoner_worth(store: Store) -> Table:
     """R1, the policy alone, and the reasoner alone, by suite."""
     alone = {row["suite"]: row for row in store.measured_rows("reasoner_alone")}
     rows = []
-    for suite in (*HELD_OUT, *DRAWN_ANEW, *MORE):
+    for suite in (*HELD_OUT, *OPENED_LAST, *DRAWN_ANEW, *MORE):
         r1, policy = store.summary("r1", suite), store.summary("small", suite)
         thought = f"{100 * alone[suite]['right'] / alone[suite]['n']:.1f} %" if suite in alone else NOT_MEASURED
         policy_alone = share(policy.overall.rate) if policy else NOT_MEASURED
@@ -218,7 +219,7 @@ def false_alarms(store: Store) -> Table:
     """How often R1 and the policy alone declined although a gate was right, which in `absent` none is."""
     pilots = {"r1": "R1", "small": "the policy alone"}
     rows = []
-    for suite in (*HELD_OUT, *DRAWN_ANEW, *MORE):
+    for suite in (*HELD_OUT, *OPENED_LAST, *DRAWN_ANEW, *MORE):
         if suite != "open-v2:absent":
             rows.append([f"`{suite}`", *(_declined(store.summary(pilot, suite)) for pilot in pilots)])
     return Table(["suite", *pilots.values()], rows)

@@ -16,6 +16,7 @@ from typing import Any
 from cognitivedrone.benchmark.measurements import Measurement, markdown, read_measurement
 from cognitivedrone.benchmark.scores.scoring import Summary
 from cognitivedrone.benchmark.submission import Submission, SubmittedRun, read_submission
+from cognitivedrone.tasks.suites import CONDITIONS
 
 NOT_MEASURED = "not measured"
 
@@ -66,9 +67,17 @@ class Store:
         return [*found.values()]
 
     def summary(self, pilot: str, suite: str, **options: object) -> Summary | None:
-        """The scores of a pilot on a suite with these options and no others; none if that was not flown."""
+        """The scores of a pilot on a suite with these options, by default the suite's own, and no others; none if that
+        was not flown.
+        """
+        options = options or own_options(suite)
         runs = [run for run in self.runs(pilot) if run.run.suite.name == suite and run.flown_with(**options)]
         return runs[0].summary if runs else None
+
+
+def own_options(suite: str) -> dict[str, object]:
+    """The options of a run that belong to the suite, as files of results name them."""
+    return {{"wind": "wind_m_s"}.get(name, name): value for name, value in CONDITIONS.get(suite, {}).items()}
 
 
 @dataclass(frozen=True)
