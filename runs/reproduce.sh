@@ -157,10 +157,10 @@ if [[ $everything ]]; then
   measure missions missions "$out"/missions/{oracle,small_gold,small,r1}
 fi
 
-# results/clutter.json and moving.json
+# results/clutter.json, moving.json, gates.json and swaying.json
 if [[ $everything ]]; then
   past() { [[ -e $out/$1/$2/results.json ]] || cognitivedrone bench --suite "open-v3:$1" --out "$out/$1/$2" --resume "${@:3}"; }
-  for suite in clutter moving; do
+  for suite in clutter moving gates swaying; do
     past "$suite" oracle --policy oracle
     past "$suite" small_gold --policy "$policy" --reasoner oracle
     past "$suite" small --policy "$policy"
@@ -168,6 +168,8 @@ if [[ $everything ]]; then
   done
   measure clutter clutter "$out"/clutter/{oracle,small_gold,small,r1}
   measure moving clutter "$out"/moving/{oracle,small_gold,small,r1}
+  measure gates clutter "$out"/gates/{oracle,small_gold,small,r1}
+  measure swaying clutter "$out"/swaying/{oracle,small_gold,small,r1}
 fi
 
 # results/audit_PILOT.json

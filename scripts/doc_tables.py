@@ -458,6 +458,16 @@ TABLES: Final[dict[str, Description]] = {
         )
         for suite in ("clutter", "moving", "gates")
     },
+    "swaying": rows_of(
+        "swaying",
+        {
+            "pilot": "`{pilot}`",
+            "passed": "{passed} of {n}",
+            "right gate": "{choice_accuracy:.0%}",
+            "of those, through it": "{pass_given_choice:.0%}",
+            "otherwise": "{ended}",
+        },
+    ),
     # docs/play.md
     "live-page": rows_of(
         "live_page",

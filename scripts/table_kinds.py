@@ -16,6 +16,7 @@ from typing import Any
 from cognitivedrone.benchmark.measurements import Measurement, markdown, read_measurement
 from cognitivedrone.benchmark.scores.scoring import Summary
 from cognitivedrone.benchmark.submission import Submission, SubmittedRun, read_submission
+from cognitivedrone.plan import Scenario
 from cognitivedrone.tasks.suites import CONDITIONS
 
 NOT_MEASURED = "not measured"
@@ -77,7 +78,8 @@ class Store:
 
 def own_options(suite: str) -> dict[str, object]:
     """The options of a run that belong to the suite, as files of results name them."""
-    return {{"wind": "wind_m_s"}.get(name, name): value for name, value in CONDITIONS.get(suite, {}).items()}
+    keys = {name: key for key, name in Scenario.identity_names().items()}
+    return {keys[name]: value for name, value in CONDITIONS.get(suite, {}).items()}
 
 
 @dataclass(frozen=True)

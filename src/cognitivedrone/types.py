@@ -116,6 +116,13 @@ class GatePlace:
     """Of the opening's centre above ground, m."""
     yaw: float
     """Heading of the outward normal, rad."""
+    sway: float = field(default=0.0, metadata={"json": "where set"})
+    """How far it moves with its panel to its left and right, as a pendulum does, m; 0 stands still. Centre is then the
+    middle of its way."""
+    period: float = field(default=8.0, metadata={"json": "where set"})
+    """From one end of its way and back, s."""
+    phase: float = field(default=0.0, metadata={"json": "where set"})
+    """Of that movement when the flight begins, rad: at pi / 2 it is farthest left."""
 
 
 Layout: TypeAlias = tuple[GatePlace, GatePlace, GatePlace]
@@ -280,6 +287,8 @@ class GroundTruth:
     """Returns the drone's current true state."""
     hull_radius: float = 0.13
     """Of the drone's bounding sphere, m."""
+    time: Callable[[], float] = lambda: 0.0
+    """Returns the time since the flight began, s: gates that move are where they are then."""
 
 
 @dataclass(frozen=True, slots=True)

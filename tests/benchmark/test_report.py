@@ -23,6 +23,8 @@ from cognitivedrone.benchmark.runs.runner import run
 from cognitivedrone.benchmark.scores.scoring import OUTCOMES
 from cognitivedrone.film.video import encode_mp4
 from cognitivedrone.tasks.scenario import suite_of
+from cognitivedrone.types import GatePlace
+from cognitivedrone.world import geometry
 
 RUNNER = "benchmark_fakes:FakeRunner"
 
@@ -367,3 +369,18 @@ def test_a_map_of_one_stage_names_its_gates_and_points_along_the_flight(flown):
     # It flew up the page, to the side of its gate.
     assert abs(path.heading) < 90
     assert goal.number == 2 or (path.heading < 0) == (goal.number == 1)
+
+
+def test_a_map_shows_the_way_of_a_gate_that_moves(flown):
+    one = flown[0]
+    places = [
+        GatePlace(float(x), float(y), 0.9, float(yaw))
+        for (x, y), yaw in zip(geometry.GATE_XY, geometry.GATE_YAWS, strict=True)
+    ]
+    stage = replace(one.trace.stages[0], layout=(places[0], replace(places[1], sway=0.5), places[2]))
+    first, second, third = episode_map(one.result, replace(one.trace, stages=(stage,))).gates
+    assert first.way is third.way is None
+    x1, y1, x2, y2 = second.way
+    assert x1 == pytest.approx(second.x1 - 0.5, abs=0.011)
+    assert x2 == pytest.approx(second.x2 + 0.5, abs=0.011)
+    assert y1 == y2 == second.y1

@@ -149,9 +149,9 @@ def test_what_is_not_confirmed_does_not_take_off(kind: str, tmp_path: Path):
 
 
 @pytest.mark.parametrize("kind", ["sim", pytest.param("sitl", marks=pytest.mark.slow)])
-def test_pads_are_landed_on_and_obstacles_flown_around(kind: str, tmp_path: Path):
+def test_pads_are_landed_on_obstacles_flown_around_and_gates_that_move_flown_through(kind: str, tmp_path: Path):
     landing, clutter = load_suite("open-v3:missions").tracks[5][1], load_suite("open-v3:clutter").tracks[0][0]
-    moving = load_suite("open-v3:moving").tracks[5][0]
+    moving, swaying = (load_suite(f"open-v3:{name}").tracks[5][0] for name in ("moving", "swaying"))
     with opened_vehicle(kind, "lockstep", tmp_path) as vehicle:
         runner = vehicle.track_runner
         assert runner is not None
@@ -159,7 +159,7 @@ def test_pads_are_landed_on_and_obstacles_flown_around(kind: str, tmp_path: Path
         def mission() -> Segment | None:
             return None if runner.finished else Segment(runner.index, runner.task.instruction, runner.truth())
 
-        for task, policy in ((landing, "hover"), (clutter, "oracle"), (moving, "oracle")):
+        for task, policy in ((landing, "hover"), (swaying, "oracle"), (clutter, "oracle"), (moving, "oracle")):
             vehicle.begin((task,), np.random.default_rng(0))
             drone = vehicle.take_off(yes)
             fly(drone, make_policy(policy), drone, mission)
@@ -171,9 +171,10 @@ def test_a_landing_is_refused_before_take_off_where_there_are_no_pads():
     missions = load_suite("open-v3:missions")
     with pytest.raises(RunError, match=f"task {missions.tracks[5][1].id} is a landing, and worlds in Gazebo have no"):
         check_tracks(VehicleSpec("gazebo"), missions.tracks[5:])
-    moving = load_suite("open-v3:moving").tracks
-    with pytest.raises(RunError, match="has an obstacle that moves, and worlds in Gazebo stand still; fly it with"):
-        check_tracks(VehicleSpec("gazebo"), moving)
+    for name in ("moving", "swaying"):
+        moves = "has a gate or an obstacle that moves, and worlds in Gazebo stand still; fly it with"
+        with pytest.raises(RunError, match=moves):
+            check_tracks(VehicleSpec("gazebo"), load_suite(f"open-v3:{name}").tracks)
     check_tracks(VehicleSpec("gazebo"), SUITE.tracks)
     check_tracks(VehicleSpec("sitl"), missions.tracks)
 

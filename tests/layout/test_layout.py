@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import Any, cast
 
 import numpy as np
@@ -17,8 +18,10 @@ from cognitivedrone.layout import (
     GATE_YAWS,
     HIGHEST_M,
     LOWEST_M,
+    SWAYS,
     TURNED_RAD,
     draw_layout,
+    draw_swaying,
     is_clear,
 )
 from cognitivedrone.sim.drawing.views import first_person_view
@@ -119,6 +122,47 @@ def test_straight_ways_to_a_gate_meet_no_other_gate(case):
     assert REACH_M == 2.0
 
 
+def ends_of(layout):
+    """The layout with every gate at either end of its way, standing still."""
+    for sides in itertools.product((1.0, -1.0), repeat=3):
+        a, b, c = (
+            replace(p, x=p.x - side * p.sway * np.sin(p.yaw), y=p.y + side * p.sway * np.cos(p.yaw), sway=0.0)
+            for p, side in zip(layout, sides, strict=True)
+        )
+        yield a, b, c
+
+
+@pytest.mark.parametrize("case", CASES[::4])
+def test_gates_that_move_are_slow_and_clear_of_each_other_wherever_they_are(case):
+    gates, board, seed = case
+    layout = draw_swaying(np.random.default_rng(seed), gates, board=board)
+    assert layout == draw_swaying(np.random.default_rng(seed), gates, board=board)
+    for place in layout:
+        assert SWAYS[0][0] <= place.sway <= SWAYS[1][0]
+        assert 2 * np.pi * place.sway / place.period <= SWAYS[1][1] + 0.01
+    assert all(is_clear(ends, board=board) for ends in ends_of(layout))
+
+
+def test_gates_and_panels_move_to_their_left_and_right_in_the_world():
+    layout = (PUBLISHED[0], replace(PUBLISHED[1], sway=0.6, period=8.0, phase=0.3), PUBLISHED[2])
+    stage = Stage(CASES[0][0], ("", "", ""), None, (1.0, 2.0), 0.7, layout=layout)
+    times = np.linspace(0.0, 20.0, 41)
+    moved = geometry.gate_centers(stage, times) - geometry.gate_centers(stage)
+    assert (moved[:, [0, 2]] == 0.0).all()
+    left = np.array([-np.sin(0.7), np.cos(0.7), 0.0])
+    np.testing.assert_allclose(moved[:, 1], 0.6 * np.sin(2 * np.pi * times / 8.0 + 0.3)[:, None] * left, atol=1e-12)
+    apart = np.diff(geometry.gate_centers(stage, np.array([2.999, 3.001])), axis=0)[0] / 0.002
+    np.testing.assert_allclose(geometry.gate_velocities(stage, 3.0), apart, atol=1e-5)
+    assert not geometry.gate_velocities(replace(stage, layout=None), 3.0).any()
+    names, motion = geometry.moving_parts(stage)
+    assert names == ("gate1", "panel1")
+    np.testing.assert_allclose(motion.offset(3.0)[0], motion.offset(3.0)[1])
+    assert geometry.moving_parts(replace(stage, missing=1)) is None
+    assert geometry.moving_parts(replace(stage, only=1))[0] == ("gate1",)
+    assert geometry.half_way(stage, 1) == pytest.approx(geometry.half_width(stage, 1) + 0.6)
+    assert geometry.half_way(stage, 0) == 0.0
+
+
 def test_the_published_places_are_clear_and_a_layout_of_them_is_the_published_stage():
     gates = CASES[0][0]
     assert is_clear(PUBLISHED, board=True)
@@ -177,7 +221,7 @@ def test_a_task_without_a_layout_is_written_as_before_and_one_with_it_is_read_ag
     [
         ({"height": 0.3}, r"height of gate 2 is 0.3; it must be from 0\.\d to 3 for a (big|small) gate"),
         ({"x": float("nan")}, "x of gate 2 is nan"),
-        ({"x": "5"}, "the place of gate 2 must be x, y, height, yaw, numbers"),
+        ({"x": "5"}, "the place of gate 2 must be x, y, height, yaw and, if it moves, sway"),
         ({"z": 5}, "the place of gate 2 must be"),
         ({"y": 6.0}, "from left to right"),
         ({"yaw": 3.0}, "yaw of gate 2 is 3"),

@@ -23,9 +23,11 @@ def context_of(track_runner):
 
 
 @cache
-def fly(suite_name, size, speed):
-    """Outcomes, and each flight's commands in world axes (T, 4) with its true velocities (T, 3)."""
-    suite = load_suite(suite_name, size=size)
+def fly(suite_name, episodes, speed):
+    """Outcomes of some episodes, or of the first so many, and each flight's commands in world axes (T, 4)."""
+    suite = load_suite(suite_name, size=episodes if isinstance(episodes, int) else None)
+    episodes = range(episodes) if isinstance(episodes, int) else episodes
+    size = len(episodes)
     simulator = Simulator(size, render=False)
     pack = load_pack("open-v1")
     track_runners = [TrackRunner(simulator.world(world), pack, TrackConfig()) for world in range(size)]
@@ -33,7 +35,8 @@ def fly(suite_name, size, speed):
     commands = [[] for _ in range(size)]
     legs = [-1] * size
     for world, track_runner in enumerate(track_runners):
-        track_runner.begin(suite.tracks[world], episode_rng(suite.digest, world, 3))
+        episode = episodes[world]
+        track_runner.begin(suite.tracks[episode], episode_rng(suite.digest, episode, 3))
     while not all(track_runner.finished for track_runner in track_runners):
         for world, (track_runner, expert) in enumerate(zip(track_runners, experts, strict=True)):
             if track_runner.finished:
@@ -109,6 +112,19 @@ def test_many_intents_at_once_are_those_of_each_alone():
 
 def test_it_flies_around_what_is_in_the_way():
     outcomes, flights = fly("open-v3:clutter", 16, ExpertConfig().speed_m_s)
+    assert set(outcomes) == {"passed"}
+    for commands in flights:
+        acceleration = np.diff(commands[:, :3], axis=0) * 10
+        assert np.linalg.norm(acceleration, axis=1).max() <= ExpertConfig().acceleration_m_s2 + 1e-3
+
+
+def test_it_finds_the_axis_of_a_small_gate_after_a_detour():
+    outcomes, _ = fly("open-v3:gates", (45, 72, 77), ExpertConfig().speed_m_s)
+    assert set(outcomes) == {"passed"}
+
+
+def test_it_flies_through_gates_that_move():
+    outcomes, flights = fly("open-v3:swaying", 16, ExpertConfig().speed_m_s)
     assert set(outcomes) == {"passed"}
     for commands in flights:
         acceleration = np.diff(commands[:, :3], axis=0) * 10

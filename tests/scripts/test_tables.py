@@ -139,6 +139,17 @@ def test_cells(template: str, row: dict, shown: str) -> None:
     assert cell(template, row) == shown
 
 
+def test_a_suite_with_conditions_of_its_own_is_shown_under_these() -> None:
+    """`open-v3:wild` is flown in wind: what a run calls `wind_m_s`."""
+    assert table_kinds.own_options("open-v3:wild") == {"appearance": "varied", "wind_m_s": 2.0}
+    assert table_kinds.own_options("open-v3:places") == {"appearance": "photo", "place": "kept"}
+    assert table_kinds.own_options("open-v1:test") == {}
+    table, runs = TABLES["opened-last"](Store(ROOT)), read_submission(ROOT / "results" / "small.json").runs
+    (wild,) = (made for made in runs if made.run.suite.name == "open-v3:wild")
+    (row,) = (row for row in table.rows if row[0].startswith("**`small`**"))
+    assert row[table.heads.index("`open-v3:wild`")].startswith(f"{100 * wild.overall.rate:.1f} (")
+
+
 @pytest.fixture(scope="module")
 def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folders as the script leaves them: made-up flights of a whole suite, and a part of one."""

@@ -13,7 +13,7 @@ from cognitivedrone.frames import quaternion_from_yaw, rotate_yaw, rotation_matr
 from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.sim.drawing.gl import renderer_name
 from cognitivedrone.sim.drawing.views import FIELD_OF_VIEW, MOUNT
-from cognitivedrone.types import IMAGE_SIZE, DroneState, FloatArray, Gate, Image, Landmark, Obstacle, Stage
+from cognitivedrone.types import IMAGE_SIZE, DroneState, FloatArray, Gate, GatePlace, Image, Landmark, Obstacle, Stage
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import varied_appearance
 
@@ -316,6 +316,25 @@ def test_what_moves_is_drawn_where_it_is_at_the_time_of_each_frame(cameras: Came
     for image, side in zip(seen, (0.8, -0.8), strict=False):
         cameras.set_stage(0, replace(stage, obstacles=(replace(person, y=side, sway=0.0),)), [GREY] * 3)
         assert (cameras.first_person(pose[0][:1], pose[1][:1])[0] == image).all()
+
+
+def test_gates_that_move_are_drawn_with_their_panels_where_they_are_at_the_time_of_each_frame(cameras: Cameras) -> None:
+    def laid_out(sway: float, aside: float) -> Stage:
+        places = zip(geometry.GATE_XY, geometry.GATE_YAWS, strict=True)
+        a, b, c = (
+            GatePlace(float(x - aside * np.sin(yaw)), float(y + aside * np.cos(yaw)), 0.9, float(yaw), sway)
+            for (x, y), yaw in places
+        )
+        return replace(TURNED, layout=(a, b, c))
+
+    place = rotate_yaw(START, TURNED.yaw) + np.array([*TURNED.origin, 0.0])
+    pose = np.tile(place, (4, 1)), np.tile(quaternion_from_yaw(TURNED.yaw), (4, 1))
+    cameras.set_stage(0, laid_out(0.6, 0.0), [GREY] * 3)
+    seen = cameras.first_person(*pose, slots=[0] * 4, times=[2.0, 6.0, 2.0, 0.0])
+    assert (seen[0] == seen[2]).all()
+    for image, aside in zip(seen[[0, 1, 3]], (0.6, -0.6, 0.0), strict=True):
+        cameras.set_stage(0, laid_out(0.0, aside), [GREY] * 3)
+        assert (cameras.first_person(pose[0][:1], pose[1][:1])[0] != image).any(axis=-1).mean() < 1e-3
 
 
 def test_the_camera_that_looks_down_sees_the_pad_under_the_drone_with_its_top_to_the_front(cameras: Cameras) -> None:

@@ -13,7 +13,7 @@ from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.sim.drawing.chase import ChaseView
 from cognitivedrone.sim.drone_world import Scenery
-from cognitivedrone.types import Gate, Obstacle, Stage
+from cognitivedrone.types import Gate, GatePlace, Obstacle, Stage
 
 LEVEL = quaternion_from_yaw(0.0)
 STAGE = Stage(
@@ -91,4 +91,10 @@ def test_what_moves_is_where_it_is_at_that_time(view: ChaseView) -> None:
     assert (view.frame((0.0, 0.0, 1.0), LEVEL, 0.0, 8.0) == first).mean() > 0.999
     view.place(replace(STAGE, obstacles=(replace(person, y=0.8, sway=0.0),)), SCENERY)
     assert (view.frame((0.0, 0.0, 1.0), LEVEL, 0.0) == left).all()
+    gate = GatePlace(4.0, 0.0, 0.9, 0.0, sway=0.8)
+    others = GatePlace(4.0, 4.0, 0.9, 0.8), GatePlace(4.0, -4.0, 0.9, -0.8)
+    view.place(replace(STAGE, layout=(others[0], gate, others[1])), SCENERY)
+    right = view.frame((0.0, 0.0, 1.0), LEVEL, 0.0, 6.0)
+    view.place(replace(STAGE, layout=(others[0], replace(gate, y=-0.8, sway=0.0), others[1])), SCENERY)
+    assert (view.frame((0.0, 0.0, 1.0), LEVEL, 0.0) != right).any(axis=-1).mean() < 1e-3
     view.place(STAGE, SCENERY)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cognitivedrone.sim.gate_monitor import GateMonitor, judge
-from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Landmark, Obstacle, Stage
+from cognitivedrone.sim.gate_monitor import GateEvent, GateMonitor, judge
+from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, GatePlace, Landmark, Obstacle, Stage
 from cognitivedrone.world import geometry
 
 HULL = 0.13
@@ -208,3 +210,53 @@ def test_what_moves_hits_a_drone_that_hovers_beside_it():
     assert event.kind == "collision"
     assert 0.1 * first + 0.01 * event.sample == pytest.approx(touches, abs=0.011)
     assert monitor.obstacle_m == 0.0
+
+
+SWAYING = GatePlace(4.0, 0.0, 0.9, 0.3, sway=0.8, period=8.0, phase=0.5)
+
+
+def swaying(place: GatePlace = SWAYING) -> Stage:
+    """A stage whose middle gate moves."""
+    gates = (Gate("big", "square", "green"), Gate("big", "round", "red"), Gate("big", "square", "blue"))
+    layout = (GatePlace(4.0, 4.0, 0.9, 0.8), place, GatePlace(4.0, -4.0, 0.9, -0.8))
+    return Stage(gates, ("letter/A@inter",) * 3, origin=(3.0, -1.0), yaw=0.5, layout=layout)
+
+
+def through(stage: Stage, time: float) -> tuple[list[GateEvent | None], GateMonitor]:
+    """What happens to a drone that flies at 1 m/s through where the middle gate is at a time, and is there then."""
+    center, yaw = geometry.gate_centers(stage, time)[1], geometry.gate_yaws(stage)[1]
+    normal = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    times = np.linspace(time - 2.0, time + 1.0, 301)
+    path = center + (times - time)[:, None] * normal
+    monitor = GateMonitor(stage, path[0], HULL, SQUARE, times[0])
+    parts = [slice(begin, begin + 11) for begin in range(0, 300, 10)]
+    return [monitor.follow(path[part][1:], times[part][0], times[part][-1]) for part in parts], monitor
+
+
+@pytest.mark.parametrize("time", [2.5, 5.0, 7.0])
+def test_a_gate_that_moves_is_flown_through_where_it_is_at_that_time(time: float) -> None:
+    events, monitor = through(swaying(), time)
+    (event,) = [event for event in events if event is not None]
+    assert (event.kind, event.gate) == ("gate", 1)
+    assert event.clearance_m == pytest.approx(0.75 - HULL, abs=0.02)
+    assert monitor.closest_m[1] == pytest.approx(0.0, abs=0.02)
+
+
+def test_a_gate_that_moves_is_missed_in_the_middle_of_its_way_while_it_is_at_an_end() -> None:
+    stage = swaying(replace(SWAYING, phase=np.pi / 2, period=60.0))  # hardly moves
+    monitor = GateMonitor(stage, straight(stage, 1, 0.0, 0.0)[0], HULL, SQUARE)
+    event = monitor.follow(straight(stage, 1, 0.0, 0.0), 0.0, 2.0)
+    assert event is not None
+    assert event.kind != "gate"
+
+
+def test_a_gate_that_moves_hits_a_drone_that_hovers_in_its_opening() -> None:
+    stage = swaying(replace(SWAYING, phase=0.0))
+    yaw = geometry.gate_yaws(stage)[1]
+    hover = geometry.gate_centers(stage)[1] - 0.01 * np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    monitor = GateMonitor(stage, hover, HULL, SQUARE)
+    steps = [(step, monitor.follow(np.tile(hover, (10, 1)), 0.1 * step, 0.1 * (step + 1))) for step in range(30)]
+    first, event = next((step, event) for step, event in steps if event is not None)
+    assert (event.kind, event.gate) == ("collision", 1)
+    touches = 8.0 / (2 * np.pi) * np.arcsin((0.75 - HULL) / 0.8)
+    assert 0.1 * first + 0.01 * event.sample == pytest.approx(touches, abs=0.02)

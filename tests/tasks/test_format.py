@@ -138,6 +138,20 @@ def layout(**second):
         ({"layout": layout(y=-float("inf"))}, "y of gate 2 is -inf; it must be from -7 to 7"),
         ({"layout": layout(yaw=float("nan"))}, "yaw of gate 2 is nan; it must be from"),
         (
+            {"layout": layout(swing=1.0)},
+            "place of gate 2 must be x, y, height, yaw and, if it moves, sway, period, phase",
+        ),
+        (
+            {"layout": layout(phase=1.0)},
+            "place of gate 2 must be x, y, height, yaw and, if it moves, sway, period, phase",
+        ),
+        ({"layout": layout(sway=True)}, "sway, period, phase: numbers in m, rad and s"),
+        ({"layout": layout(sway=1.5)}, "sway of gate 2 is 1.5; it must be from 0 to 1"),
+        ({"layout": layout(sway=0.5, period=0)}, "period of gate 2 is 0; it must be from 1 to 60"),
+        ({"layout": layout(sway=0.5, phase=9)}, "phase of gate 2 is 9; it must be from -6.28 to 6.28"),
+        ({"layout": layout(sway=0.5, period=2)}, "gate 2 moves at 1.57 m/s; make its period 3.1 s at least"),
+        ({"layout": layout(sway=1.0, y=1.2)}, "gates 1 and 2 may meet on their ways; move them apart"),
+        (
             {"options": ["nine.dae", "six.dae", "nine.dae"]},
             "options 1 and 3 are both 'nine.dae', so there are two right",
         ),

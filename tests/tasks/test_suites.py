@@ -54,7 +54,7 @@ def test_suite_sizes() -> None:
     named = {
         "open-v1": first,
         "open-v2": second,
-        "open-v3": {"missions": 400, "clutter": 200, "places": 200, "moving": 120, "gates": 90},
+        "open-v3": {"missions": 400, "clutter": 200, "places": 200, "moving": 120, "gates": 90, "swaying": 120},
     }
     assert sizes == {f"{version}:{name}": size for version, of in named.items() for name, size in of.items()}
     assert [len(track) for track in load_suite("open-v1:track").tracks] == [5] * 20
@@ -87,6 +87,18 @@ def test_every_task_of_a_crowded_suite_gets_its_obstacles(name: str, monkeypatch
     else:
         assert all(task.obstacles for task in tasks)
     assert all(task.obstacles[0].sway > 0 for task in tasks) == (name == "open-v3:moving")
+
+
+def test_the_numbers_of_gates_occur_equally_often() -> None:
+    tasks = tasks_of(load_suite("open-v3:gates"))
+    counts = Counter(len(task.obstacles) + (3 if task.missing is None else 2) for task in tasks)
+    assert counts == dict.fromkeys(range(2, 7), 18)
+
+
+def test_all_gates_of_the_suite_move() -> None:
+    layouts = [task.layout for task in tasks_of(load_suite("open-v3:swaying"))]
+    assert all(place.sway > 0 for layout in layouts if layout for place in layout)
+    assert len(set(layouts)) == len(layouts)
 
 
 def test_the_command_writes_every_built_suite(

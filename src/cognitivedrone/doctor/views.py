@@ -80,7 +80,7 @@ def _flight(runner: TrackRunner, task: Task, rng: np.random.Generator) -> Iterat
 
 def _commands(runner: TrackRunner) -> Commands:
     state, stage = runner.world.state(), runner.stage
-    centers, yaws = gate_centers(stage), gate_yaws(stage)
+    centers, yaws = gate_centers(stage, runner.world.time()), gate_yaws(stage)
     position, velocity = np.tile(state.position, (3, 1)), np.tile(state.velocity, (3, 1))
     yaw = np.full(3, float(yaw_of(state.quaternion)))
     return clip_action(intent(position, velocity, yaw, centers, yaws, ExpertConfig()))

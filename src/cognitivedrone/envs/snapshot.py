@@ -138,7 +138,8 @@ def _mark_gates(picture: PillowImage.Image, view: View, track_runner: TrackRunne
 def _under(track_runner: TrackRunner, index: int) -> FloatArray:
     """(1, 3) world: the lowest point of a gate's frame, in its middle, m."""
     outline = geometry.opening_outline(track_runner.stage.gates[index], grow=geometry.BAR_WIDTH)
-    lowest: FloatArray = geometry.gate_centers(track_runner.stage)[[index]] + [0.0, 0.0, outline[:, 1].min()]
+    centers = geometry.gate_centers(track_runner.stage, track_runner.world.time())
+    lowest: FloatArray = centers[[index]] + [0.0, 0.0, outline[:, 1].min()]
     return lowest
 
 

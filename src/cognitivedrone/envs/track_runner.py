@@ -175,7 +175,7 @@ class TrackRunner:
 
     def truth(self) -> GroundTruth:
         """Ground truth of the current stage."""
-        return GroundTruth(self.task, self.stage, self.world.state, self.world.hull_radius)
+        return GroundTruth(self.task, self.stage, self.world.state, self.world.hull_radius, self.world.time)
 
     def decline(self, declined: bool) -> None:
         """Note that the pilot begins or ceases to report that no gate matches the instruction."""

@@ -58,7 +58,7 @@ def draw_map(size: tuple[int, int], scene: Scene | None, path: Sequence[Vector],
         for index in geometry.choices(stage):
             gate = stage.gates[index]
             half = geometry.half_width(stage, index)
-            ends = geometry.gate_centers(stage)[index] + rotate_yaw(
+            ends = geometry.gate_centers(stage, frame.time)[index] + rotate_yaw(
                 np.array([[0.0, half, 0.0], [0.0, -half, 0.0], [0.75, 0.0, 0.0]]),
                 float(geometry.gate_yaws(stage)[index]),
             )

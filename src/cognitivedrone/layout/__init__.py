@@ -7,6 +7,7 @@ CognitiveDroneBench (arXiv 2503.01378). `world.geometry` computes with them.
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -51,6 +52,8 @@ LOWEST_M: Final = {"small": 0.6, "big": 0.9}
 """Least height of its centre, m: a big gate then stands on the floor."""
 HIGHEST_M: Final = 1.8
 """Greatest height of its centre, m."""
+SWAYS: Final = ((0.2, 0.1, 0.0), (0.7, 0.4, 6.28))
+"""Least and most of how far a gate that moves goes to either side, m, its largest speed, m/s, and its phase, rad."""
 
 _HALF_PANEL = 1.0  # m, of a square panel; wider than any gate's frame
 _HALF_BOARD = 1.4
@@ -90,6 +93,32 @@ def draw_layout(rng: np.random.Generator, gates: tuple[Gate, Gate, Gate], *, boa
         if len(fits):
             return _layout(centers[fits[0]], yaws[fits[0]])
     raise ValueError(f"no layout found in {_BATCH * _BATCHES} draws")
+
+
+def draw_swaying(rng: np.random.Generator, gates: tuple[Gate, Gate, Gate], *, board: bool = False) -> Layout:
+    """A random layout whose gates move, each at its own pace; what `draw_layout` promises holds at all ends of their
+    ways.
+    """
+    while True:
+        layout = draw_layout(rng, gates, board=board)
+        a, b, c = (_swaying(rng, place) for place in layout)
+        ends = itertools.product(*(((place, -1.0), (place, 1.0)) for place in (a, b, c)))
+        if all(is_clear((_end(*first), _end(*second), _end(*third)), board=board) for first, second, third in ends):
+            return a, b, c
+
+
+def _swaying(rng: np.random.Generator, place: GatePlace) -> GatePlace:
+    """The gate moving to and fro; numbers are rounded, so that a file holds them exactly."""
+    sway, fastest, phase = rng.uniform(*SWAYS).round(2).tolist()
+    return replace(place, sway=sway, period=round(2 * float(np.pi) * sway / fastest, 2), phase=phase)
+
+
+def _end(place: GatePlace, side: float) -> GatePlace:
+    """The gate at the left (1) or right (-1) end of its way, at rest."""
+    away = side * place.sway
+    return replace(
+        place, x=place.x - away * float(np.sin(place.yaw)), y=place.y + away * float(np.cos(place.yaw)), sway=0.0
+    )
 
 
 def is_clear(layout: Layout, *, board: bool) -> bool:

@@ -1,6 +1,4 @@
-"""What is in the way of a drone: boxes and upright cylinders, how they move, and their distances. Pure numpy, in the
-stage frame.
-"""
+"""What is in the way of a drone: boxes and upright cylinders, and their distances. Pure numpy, in the stage frame."""
 
 from __future__ import annotations
 
@@ -12,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.frames import rotate_yaw, world_to_heading
+from cognitivedrone.layout.motion import Motion, motion_of
 from cognitivedrone.types import FloatArray, Landmark, Obstacle, Vector, Vectors
 
 FRAME_BAR: Final = 0.15
@@ -22,24 +21,6 @@ POST: Final = 0.1
 """Diameter of a landmark's post, m."""
 _PANEL_DEPTH: Final = 0.02
 _BODY, _HEAD = 0.84, 0.5  # of a person's height, and its head's width in that of the body
-
-
-@dataclass(frozen=True, slots=True)
-class Motion:
-    """How n solids move to and fro, each along its own y axis."""
-
-    reach: Vectors
-    """(n, 3) from the middle of its way to the left end, m."""
-    rate: FloatArray
-    """(n,) rad/s."""
-    phase: FloatArray
-    """(n,) when the flight begins, rad."""
-
-    def offset(self, time: FloatArray | float) -> Vectors:
-        """(..., n, 3) where they are from their middle, m, at `time` (...,), s since the flight began."""
-        turn = np.asarray(time, dtype=np.float64)[..., None] * self.rate + self.phase
-        offset: Vectors = np.sin(turn)[..., None] * self.reach
-        return offset
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,13 +145,7 @@ def solids_of(obstacles: Sequence[Obstacle], landmark: Landmark | None = None) -
     halves = np.array([size for _, _, size, _ in parts]).reshape(-1, 3) / 2
     yaws = np.array([yaw for _, yaw, *_ in parts])
     solids = Solids(centers, yaws, halves, np.array([is_round for *_, is_round in parts], dtype=bool))
-    if not any(each.sway for each in obstacles):
-        return solids
-    reach, rate, phase = np.zeros((len(parts), 3)), np.zeros(len(parts)), np.zeros(len(parts))
-    for index, each in enumerate(movers):
-        reach[index] = rotate_yaw(np.array([0.0, each.sway, 0.0]), each.yaw)
-        rate[index], phase[index] = 2 * np.pi / each.period, each.phase
-    return replace(solids, motion=Motion(reach, rate, phase))
+    return replace(solids, motion=motion_of(movers, still=len(parts) - len(movers)))
 
 
 def blocks_of(obstacles: Sequence[Obstacle], landmark: Landmark | None = None) -> Solids:

@@ -31,7 +31,7 @@ _RING: Final = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1], [-1, 0], [1, 0]], d
 
 
 def gate_places(layout: Layout | None) -> tuple[Vectors, FloatArray]:
-    """The centres (3, 3), m, and headings (3,), rad, of the gates in the stage frame."""
+    """The gates' centres (3, 3), m, in the middle of their way if they move, and headings (3,), rad; stage frame."""
     if layout is None:
         return np.column_stack([GATE_XY, np.full(3, GATE_HEIGHT)]), np.array(GATE_YAWS)
     return np.array([[place.x, place.y, place.height] for place in layout]), np.array([place.yaw for place in layout])
@@ -114,7 +114,9 @@ def _network(
     centers, yaws = gate_places(layout)
     things = blocks_of(obstacles, landmark)
     shown = list(gates)
-    columns, planes = (np.tile(half, (len(shown), 1)) for half in (_COLUMN, _PLANE - margin))  # planes need no margin
+    sways = np.zeros(3) if layout is None else np.array([place.sway for place in layout])
+    reach = sways[shown, None] * [0.0, 1.0, 0.0]  # what moves is everywhere on its way
+    columns, planes = (half + reach for half in (_COLUMN, _PLANE - margin))  # planes need no margin
     solids = Solids(
         np.concatenate([things.centers, centers[shown], centers[shown]]),
         np.concatenate([things.yaws, yaws[shown], yaws[shown]]),

@@ -283,13 +283,14 @@ def scene_table(scene: Scene) -> dict[str, Any]:
     gates = []
     for index in geometry.choices(stage):
         gate = stage.gates[index]
-        half = geometry.half_width(stage, index)
-        along = rotate_yaw(np.array([0.0, half, 0.0]), float(yaws[index]))
+        half, reach = geometry.half_width(stage, index), geometry.half_way(stage, index)
+        left = rotate_yaw(np.array([0.0, 1.0, 0.0]), float(yaws[index]))
         gates.append(
             {
                 "number": index + 1,
                 "at": _rounded(centers[index]),
-                "ends": [_rounded(centers[index] + along), _rounded(centers[index] - along)],
+                "ends": [_rounded(centers[index] + side * half * left) for side in (1, -1)],
+                "way": [_rounded(centers[index] + side * reach * left) for side in (1, -1)] if reach else [],
                 "color": gate.color,
                 "look": f"{gate.color} pad" if stage.landing else f"{gate.size} {gate.color} {gate.shape}",
                 "name": scene.names[index] if scene.names and index in geometry.panelled(stage) else "",

@@ -25,7 +25,7 @@ from cognitivedrone.types import (
     Vector,
     Vectors,
 )
-from cognitivedrone.world.geometry import choices, gate_centers, gate_yaws
+from cognitivedrone.world.geometry import choices, gate_centers, gate_velocities, gate_yaws
 
 _PERIOD_S = 1 / CONTROL_HZ
 _ABOVE_M, _SINK_M_S = 0.15, 0.4  # nearer than this it is above a pad, and comes down
@@ -162,9 +162,8 @@ class Detour:
             self._ways = ways_to(target, stage.obstacles, stage.landmark, stage.layout, margin, choices(stage))
             if self._ways.ahead(self._local(start)) is not None:
                 break
-        centers, yaws = gate_places(stage.layout)
-        self._gate, heading = centers[target], yaws[target]
-        self._normal = np.array([np.cos(heading), np.sin(heading), 0.0])
+        _, yaws = gate_places(stage.layout)
+        self._normal = np.array([np.cos(yaws[target]), np.sin(yaws[target]), 0.0])
 
     @classmethod
     def of(cls, truth: GroundTruth, config: ExpertConfig) -> Detour | None:
@@ -174,25 +173,27 @@ class Detour:
             return None
         return cls(stage, target, truth.hull_radius, truth.state().position, config)
 
-    def wish(self, position: Vector, velocity: Vector) -> Vectors | None:
-        """The velocity (3,) along the way, world, m/s; none where the ordinary path to the gate is clear.
+    def wish(self, position: Vector, velocity: Vector, center: Vector) -> Vectors | None:
+        """The velocity (3,) along the way to the gate at `center`, world, m/s; none where the ordinary path is clear.
 
         The drone stays on the way that it was led before.
         """
-        config = self._config
+        config, gate = self._config, self._local(center)
         here, motion = self._local(position), world_to_heading(velocity, self._yaw)
         start = here + motion * config.lag_s
-        before = float((self._gate - start) @ self._normal)
-        aside = start + before * self._normal - self._gate
+        before = float((gate - start) @ self._normal)
+        aside = start + before * self._normal - gate
         away = float(np.linalg.norm(aside))
-        if before < JOIN_M + 0.1 and away < _CORRIDOR_M:  # slower, where the gate's axis is still to be found
-            share = min(1.0, max(0.3, 1.0 - _SLOWER * (away - 0.05)))
+        if before < JOIN_M + 0.1 and away < _CORRIDOR_M:  # slower, as long as it is not on the gate's axis
+            off = here - gate
+            now = float(np.linalg.norm(off - (off @ self._normal) * self._normal))
+            share = min(1.0, max(0.3, 1.0 - _SLOWER * (now - 0.05)))
             return rotate_yaw(share * config.speed_m_s * self._normal - _TO_AXIS * aside, self._yaw)
         for share in (1.0, 0.5, 0.0):
             start = here + share * config.lag_s * motion
             if self._ways.clear(np.stack([here, start])):
                 break
-        if self._is_clear(start):
+        if self._is_clear(start, gate):
             return None
         self._last = following = self._ways.ahead(start, self._last)
         if following is None:
@@ -205,10 +206,10 @@ class Detour:
         speed = min(config.speed_m_s, float(np.sqrt(corner**2 + 2 * _BRAKING_M_S2 * distance)))
         return rotate_yaw(aim * (speed / distance), self._yaw)
 
-    def _is_clear(self, start: Vector) -> bool:
-        """Whether the ordinary path from here keeps clear."""
-        way = plan(start, self._gate, self._normal, self._config)
-        before = float((self._gate - start) @ self._normal)
+    def _is_clear(self, start: Vector, gate: Vector) -> bool:
+        """Whether the ordinary path from here to a gate keeps clear."""
+        way = plan(start, gate, self._normal, self._config)
+        before = float((gate - start) @ self._normal)
         return before > 0 and self._ways.clear(np.concatenate([start[None], way.curve(_GRID)]))
 
     def _local(self, point: Vector) -> Vector:
@@ -268,9 +269,11 @@ class Expert(Policy):
         gate_yaw = float(gate_yaws(stage)[target])
         normal = np.array([np.cos(gate_yaw), np.sin(gate_yaw), 0.0])
         start = state.position + state.velocity * config.lag_s
-        wanted = None if self._detour is None else self._detour.wish(state.position, state.velocity)
+        later = self._truth.time() + config.lag_s  # when a gate that moves is flown at where it is then, and with it
+        gate = gate_centers(stage, later)[target]
+        wanted = None if self._detour is None else self._detour.wish(state.position, state.velocity, gate)
         if wanted is None:
-            wanted = wish(start, gate_centers(stage)[target], normal, config)
+            wanted = wish(start, gate, normal, config) + gate_velocities(stage, later)[target]
         return self._action(wanted, float(turn_rate(wanted, np.asarray(yaw), config)), yaw)
 
     def _down(self, pad: FloatArray, position: FloatArray, yaw: float) -> Action:

@@ -53,12 +53,16 @@ def judge(
     hull_radius: float,
     aspects: tuple[float, float, float],
     touched: int | None = None,
+    centers: Vectors | None = None,
 ) -> GateEvent | None:
     """The first event along `path` ((k, 3) world, m; its first sample was judged before), or None.
 
-    `aspects` are width over height of the three panels; `touched` is the first sample that touches an obstacle.
+    `aspects` are width over height of the three panels; `touched` is the first sample that touches an obstacle;
+    `centers` (k, 3, 3) are those of gates that move, world, m.
     """
-    centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
+    if centers is None:
+        centers = geometry.gate_centers(stage)
+    yaws = geometry.gate_yaws(stage)
     first: GateEvent | None = None
 
     def consider(gate_event: GateEvent) -> None:
@@ -78,7 +82,7 @@ def judge(
     alone = stage.only is not None
     for index in geometry.standing(stage):
         gate = stage.gates[index]
-        points = geometry.to_gate_frame(path, centers[index], float(yaws[index]))
+        points = geometry.to_gate_frame(path, centers[..., index, :], float(yaws[index]))
         along, lateral, vertical = points[:, 0], points[:, 1], points[:, 2]
         if np.abs(along).min() > NEAR_M:
             continue
@@ -122,25 +126,33 @@ def to_stage_frame(stage: Stage, points: Vectors) -> Vectors:
 class GateMonitor:
     """Monitors one drone in one stage: judges its path and measures it."""
 
-    def __init__(self, stage: Stage, start: Vector, hull_radius: float, aspects: tuple[float, float, float]) -> None:
+    def __init__(
+        self, stage: Stage, start: Vector, hull_radius: float, aspects: tuple[float, float, float], began: float = 0.0
+    ) -> None:
+        """The stage begins at `start` (3,), world, m, `began` s after the flight."""
         self.stage = stage
         self.start = np.array(start, dtype=np.float64)
         self.hull_radius = hull_radius
         self.aspects = aspects
-        self.centers = geometry.gate_centers(stage)
+        self.centers = geometry.gate_centers(stage, began)
+        """(3, 3) the gates' centres at the end of the path so far, world, m."""
         self.path_m = 0.0
         self.closest_m = np.linalg.norm(self.centers - self.start, axis=1)
         """(3,) closest approach to each gate's centre so far, m."""
         self.obstacle_m: float | None = None
         """Smallest distance between hull and obstacles so far, m; none where nothing is in the way."""
         cluttered = bool(stage.obstacles) or stage.landmark is not None
+        self._swaying = geometry.gate_motion(stage) is not None
         self._solids = solids_of(stage.obstacles, stage.landmark) if cluttered else None
         self._last = self.start
 
     def follow(self, path: Vectors, began: float = 0.0, ended: float = 0.0) -> GateEvent | None:
         """Judge the next part of the path, (k, 3) world, m, flown from `began` to `ended`, s since the flight began."""
         whole = np.concatenate([self._last[None], path])
-        rooms = None
+        rooms = centers = None
+        if self._swaying:
+            centers = geometry.gate_centers(self.stage, np.linspace(began, ended, len(whole)))
+            self.centers = centers[-1]
         if self._solids is not None:
             solids = self._solids.at(np.linspace(began, ended, len(whole)))
             rooms = solids.distance(to_stage_frame(self.stage, whole)).min(axis=1)
@@ -149,15 +161,18 @@ class GateMonitor:
             touched = int(np.argmax(rooms < self.hull_radius))
         gate_event = None
         if touched is not None or self._near(whole):
-            gate_event = judge(self.stage, whole, self.hull_radius, self.aspects, touched)
+            gate_event = judge(self.stage, whole, self.hull_radius, self.aspects, touched, centers)
         if gate_event is not None:
             whole = whole[: gate_event.sample + 1]
+        if centers is not None:
+            centers = centers[: len(whole)]
+            self.centers = centers[-1]
         if rooms is not None:
             room = max(float(rooms[: len(whole)].min()) - self.hull_radius, 0.0)
             self.obstacle_m = room if self.obstacle_m is None else min(self.obstacle_m, room)
         steps = np.diff(whole, axis=0)
         self.path_m += float(np.sqrt((steps * steps).sum(axis=1)).sum())
-        to_gates = whole[:, None] - self.centers
+        to_gates = whole[:, None] - (self.centers if centers is None else centers)
         np.minimum(self.closest_m, np.sqrt((to_gates * to_gates).sum(axis=2)).min(axis=0), out=self.closest_m)
         self._last = whole[-1]
         return gate_event

@@ -54,7 +54,7 @@ class Simulator:
         if self.cameras is not None:
             self.cameras.set_stage(world, stage, scenery.panels, scenery.board, scenery.appearance)
         start, radius = self.flight.position[world], self.airframe.hull_radius
-        self._gate_monitors[world] = GateMonitor(stage, start, radius, scenery.aspects)
+        self._gate_monitors[world] = GateMonitor(stage, start, radius, scenery.aspects, self.time(world))
 
     def command(self, world: int, action: FloatArray) -> None:
         """Set one world's velocity setpoint: (4,) heading frame, m/s and rad/s."""

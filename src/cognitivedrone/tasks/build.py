@@ -20,7 +20,7 @@ from typing import TypeVar
 import numpy as np
 
 from cognitivedrone.files import replace_file
-from cognitivedrone.layout import draw_layout
+from cognitivedrone.layout import draw_layout, draw_swaying
 from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, generator
 from cognitivedrone.tasks.families.absent import KINDS, LOOKS, absent_puzzle
 from cognitivedrone.tasks.families.clutter import KINDS as OBSTACLES
@@ -56,6 +56,7 @@ HARD_IN_PLACES: dict[str, int] = dict.fromkeys(
 """Tasks of the harder families in `places`, 20 per category; every third task of the suite has another layout."""
 _SIZES = {
     "test": 300, "unseen": 150, "smoke": 30, "track": 100, "layouts": 300, "clutter": 200, "moving": 120, "gates": 90,
+    "swaying": 120,
 }  # fmt: skip
 LOOKS_ASKED = 20
 """Tasks of `absent` that name a gate by its looks; the other 180 are of the ten base families in equal numbers."""
@@ -141,6 +142,8 @@ def _choices(name: str, rng: np.random.Generator, dealer: Dealer) -> list[list[T
     if name == "gates":
         counts = dealer.hand("count", range(2, 7), len(tasks))
         tasks = [several(rng, *each) for each in zip(tasks, counts, strict=True)]
+    if name == "swaying":
+        tasks = [replace(task, layout=draw_swaying(rng, task.gates, board=task.board is not None)) for task in tasks]
     if name == "track":
         n_tracks = len(tasks) // STAGES_A_TRACK
         tracks = [_shuffled(rng, tasks[i::n_tracks]) for i in range(n_tracks)]

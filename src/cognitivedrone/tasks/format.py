@@ -60,7 +60,7 @@ _OPTIONAL = (
     "task", "id", "category", "family", "labels", "board", "only", "layout", "landing", "mission", "obstacles",
     "landmark", "missing",
 )  # fmt: skip
-_PLACE = tuple(GatePlace.__dataclass_fields__)
+_PLACE = ("x", "y", "height", "yaw")
 MAX_OBSTACLES = 20
 _MEASURES: dict[str, dict[str, float | None]] = {
     "pillar": {},
@@ -72,6 +72,8 @@ _MEASURES: dict[str, dict[str, float | None]] = {
 """What an obstacle of each kind has besides x, y, width and height, with its default; none for what must be given."""
 _MOVES: dict[str, float | None] = {"yaw": 0.0, "sway": 0.0, "period": 8.0, "phase": 0.0}
 """What one may have that moves."""
+_SWAYS = ("sway", "period", "phase")
+"""What the place of a gate has, too, if it moves."""
 _MISSPELT = 0.82
 """A key that is so similar to a known one (difflib, 0 to 1) is a misspelling: `lables` is, `idx` is not."""
 _PLAIN = {re.sub("[^a-z]", "", key): key for key in (*_KEYS, *_OPTIONAL)}
@@ -101,7 +103,10 @@ def task_to_json(task: Task) -> dict[str, Any]:
     if task.missing is not None:
         obj["missing"] = task.missing + 1
     if task.layout is not None:
-        obj["layout"] = {str(number): asdict(place) for number, place in enumerate(task.layout, 1)}
+        obj["layout"] = {
+            str(number): {key: getattr(place, key) for key in (*_PLACE, *(_SWAYS if place.sway else ()))}
+            for number, place in enumerate(task.layout, 1)
+        }
     if task.landing:
         obj["landing"] = True
     if task.mission is not None:
@@ -237,9 +242,14 @@ def _layout(obj: Mapping[str, Any], where: str) -> Layout | None:
     places = []
     for number in "123":
         entry = entries[number]
-        if not isinstance(entry, dict) or set(entry) != set(_PLACE) or not all(map(_is_number, entry.values())):
-            raise TaskError(f"{where}: the place of gate {number} must be {', '.join(_PLACE)}, numbers in m and rad")
-        places.append(GatePlace(**{name: _as_float(entry[name]) for name in _PLACE}))
+        names = (*_PLACE, *_SWAYS) if isinstance(entry, dict) and "sway" in entry else _PLACE
+        known = isinstance(entry, dict) and set(_PLACE) <= set(entry) <= {*names}
+        if not known or not all(map(_is_number, entry.values())):
+            raise TaskError(
+                f"{where}: the place of gate {number} must be {', '.join(_PLACE)} and, if it moves, "
+                f"{', '.join(_SWAYS)}: numbers in m, rad and s"
+            )
+        places.append(GatePlace(**{name: _as_float(value) for name, value in entry.items()}))
     return places[0], places[1], places[2]
 
 

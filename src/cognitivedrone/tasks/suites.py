@@ -34,6 +34,7 @@ BUILT: tuple[str, ...] = (
     "open-v3:places",
     "open-v3:moving",
     "open-v3:gates",
+    "open-v3:swaying",
 )
 """Fixed suites that `tasks.build` generates. A suite's position here seeds it: add new ones at the end."""
 AUTHORED: tuple[str, ...] = ("open-v2:words", "open-v3:words", "open-v3:photos", "open-v3:wild")
@@ -72,6 +73,7 @@ ABOUT: dict[str, str] = {
     "open-v3:clutter": "obstacles in the way, empty frames, landmarks; the rest as test and layouts",
     "open-v3:moving": "gates in two rows; something moves across the way; the rest as test",
     "open-v3:gates": "2 to 6 gates: two or three with panels, and empty frames; the rest as test",
+    "open-v3:swaying": "gates that move to and fro; the rest as test and layouts",
     "open-v3:places": "held out: photographed places around the stage; the rest as test, hard and layouts",
     "open-v3:wild": "held out: pictures in bad light, sentences and layouts; varied room, wind",
 }

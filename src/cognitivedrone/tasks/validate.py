@@ -23,7 +23,7 @@ from cognitivedrone.layout.obstacles import LANDMARK_SIDE, Solids, solids_of
 from cognitivedrone.tasks.directives import HOLD, declines, parse_directive
 from cognitivedrone.tasks.missions import lands
 from cognitivedrone.text.printable import unprintable
-from cognitivedrone.types import ALL_CATEGORIES, COLORS, SHAPES, SIZES, Gate, Layout, Task
+from cognitivedrone.types import ALL_CATEGORIES, COLORS, SHAPES, SIZES, Gate, GatePlace, Layout, Obstacle, Task
 
 MAX_TEXT = 1000
 """Longest instruction, directive or name, in characters."""
@@ -32,7 +32,9 @@ GATE_ROOM = (0.5, 1.05)
 START_ROOM = 0.4
 """Between start box and obstacles, m."""
 FASTEST_M_S: Final = 1.0
-"""Of moving obstacles."""
+"""Of gates and obstacles that move."""
+MAX_GATE_SWAY: Final = 1.0
+"""How far a gate moves to either side, at most, m."""
 _RANGES = {
     "x": (-4.0, 8.5), "y": (-7.0, 7.0), "width": (0.05, 6.0), "height": (0.05, 5.0), "depth": (0.02, 3.0),
     "yaw": (-math.pi, math.pi), "above": (0.0, 5.0), "sway": (0.0, 3.0), "period": (1.0, 60.0),
@@ -80,7 +82,10 @@ def check_gates(gates: tuple[Gate, Gate, Gate], where: str) -> None:
 
 
 def check_layout(layout: Layout, gates: tuple[Gate, Gate, Gate], where: str) -> None:
-    """Raise `TaskError` unless the gates are inside the stage, above its floor, and left to right from the start."""
+    """Raise `TaskError` unless the gates are inside the stage, above its floor, and left to right from the start.
+
+    Those that move are slow, and keep apart from each other.
+    """
     for number, (place, gate) in enumerate(zip(layout, gates, strict=True), 1):
         lowest = LOWEST_M[gate.size]
         for name, value, low, high in (
@@ -88,15 +93,29 @@ def check_layout(layout: Layout, gates: tuple[Gate, Gate, Gate], where: str) -> 
             ("y", place.y, -7.0, 7.0),
             ("height", place.height, lowest, 3.0),
             ("yaw", place.yaw, -math.pi / 2, math.pi / 2),
+            ("sway", place.sway, 0.0, MAX_GATE_SWAY),
+            *((key, getattr(place, key), *_RANGES[key]) for key in ("period", "phase")),
         ):
             if not low <= value <= high:
                 raise TaskError(
-                    f"{where}: {name} of gate {number} is {value:g}; it must be from {low:g} to {high:.3g}"
+                    f"{where}: {name} of gate {number} is {value:g}; it must be from {low:.3g} to {high:.3g}"
                     + (f" for a {gate.size} gate" if name == "height" else "")
                 )
+        _check_speed(place, f"{where}: gate {number}")
+    if any(place.sway for place in layout):
+        for first, second in ((0, 1), (0, 2), (1, 2)):
+            a, b = layout[first], layout[second]
+            if math.hypot(a.x - b.x, a.y - b.y) < 2 * GATE_ROOM[1] + a.sway + b.sway:
+                raise TaskError(f"{where}: gates {first + 1} and {second + 1} may meet on their ways; move them apart")
     bearings = [math.atan2(place.y - START[1], place.x - START[0]) for place in layout]
     if not bearings[0] > bearings[1] > bearings[2]:
         raise TaskError(f"{where}: the gates of the layout must be numbered from left to right, as seen from the start")
+
+
+def _check_speed(thing: Obstacle | GatePlace, which: str) -> None:
+    if (fastest := 2 * math.pi * thing.sway / thing.period) > FASTEST_M_S:
+        slow = 2 * math.pi * thing.sway / FASTEST_M_S
+        raise TaskError(f"{which} moves at {fastest:.2f} m/s; make its period {slow:.1f} s at least")
 
 
 def _check_absent(task: Task, where: str) -> None:
@@ -142,9 +161,7 @@ def _check_obstacles(task: Task, where: str) -> None:
             _check_range(getattr(each, key), key, low, high, f"{where}: {name}")
         if each.kind == "frame" and min(each.width, each.height) < 0.5:
             raise TaskError(f"{where}: {name} is too narrow for an opening; make width and height 0.5 at least")
-        if (fastest := 2 * math.pi * each.sway / each.period) > FASTEST_M_S:
-            slow = 2 * math.pi * each.sway / FASTEST_M_S
-            raise TaskError(f"{where}: {name} moves at {fastest:.2f} m/s; make its period {slow:.1f} s at least")
+        _check_speed(each, f"{where}: {name}")
     parts = [(f"{name} on its way" if each.sway else name, solids_of((each,)).swept()) for name, each in named]
     if (mark := task.landmark) is not None:
         check_text(mark.label, "the label of the landmark", where)
@@ -167,8 +184,8 @@ def occupied(task: Task, solids: Solids) -> str:
         place = None if task.layout is None else task.layout[index]
         x, y = GATE_XY[index] if place is None else (place.x, place.y)
         height, yaw = (GATE_HEIGHT, GATE_YAWS[index]) if place is None else (place.height, place.yaw)
-        top = height + PANEL_RISE + PANEL_HEIGHT / 2
-        if solids.meets(np.array([x, y, top / 2]), float(yaw), np.array([*GATE_ROOM, top / 2])).any():
+        top, wide = height + PANEL_RISE + PANEL_HEIGHT / 2, GATE_ROOM[1] + (0.0 if place is None else place.sway)
+        if solids.meets(np.array([x, y, top / 2]), float(yaw), np.array([GATE_ROOM[0], wide, top / 2])).any():
             return f"the opening or the panel of gate {index + 1}"
     return ""
 

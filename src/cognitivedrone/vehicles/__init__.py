@@ -56,8 +56,8 @@ def check_tracks(spec: VehicleSpec, tracks: Iterable[Track]) -> None:
     for task in (task for track in tracks for task in track):
         if task.landing:
             lacks = "is a landing, and worlds in Gazebo have no pads"
-        elif any(each.sway for each in task.obstacles):
-            lacks = "has an obstacle that moves, and worlds in Gazebo stand still"
+        elif any(each.sway for each in (*task.obstacles, *(task.layout or ()))):
+            lacks = "has a gate or an obstacle that moves, and worlds in Gazebo stand still"
         else:
             continue
         raise RunError(f"task {task.id} {lacks}; fly it with --link sim or sitl")

@@ -180,7 +180,8 @@ class ExternalWorld:
     def place(self, stage: Stage, scenery: Scenery) -> None:
         """Show another stage; the drone flies on."""
         self._view.show(stage, scenery)
-        self._gate_monitor = GateMonitor(stage, self.state().position, self.hull_radius, scenery.aspects)
+        start, aspects = self.state().position, scenery.aspects
+        self._gate_monitor = GateMonitor(stage, start, self.hull_radius, aspects, self.time())
 
     def command(self, action: FloatArray) -> None:
         """Set the velocity setpoint: (4,) heading frame, m/s and rad/s."""

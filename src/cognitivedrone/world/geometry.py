@@ -30,6 +30,7 @@ from cognitivedrone.layout import START as START
 from cognitivedrone.layout import START_HALF_EXTENT as START_HALF_EXTENT
 from cognitivedrone.layout import START_MIN_HEIGHT as START_MIN_HEIGHT
 from cognitivedrone.layout import choices as choices
+from cognitivedrone.layout.motion import Motion, motion_of
 from cognitivedrone.layout.obstacles import LANDMARK_SIDE, Solids, solids_of
 from cognitivedrone.types import FloatArray, Gate, Size, Stage, Vector, Vectors
 
@@ -59,14 +60,55 @@ _TRIANGLE: Final = np.array([[np.sqrt(3.0), -1.0], [0.0, 2.0], [-np.sqrt(3.0), -
 """Corners of the upright equilateral triangle of inradius one: base left to right, apex."""
 
 
-def gate_centers(stage: Stage) -> Vectors:
-    """(3, 3) world positions of the gate centres, gates 1, 2, 3 from left to right, m; of pads, on the floor."""
+def gate_centers(stage: Stage, time: FloatArray | float | None = None) -> Vectors:
+    """(..., 3, 3) world positions of the gate centres, gates 1, 2, 3 from left to right, m; of pads, on the floor.
+
+    Gates that move are where they are at `time` (...,), s since the flight began, or without it in the middle of their
+    way; (3, 3) for any time if none moves.
+    """
+    if time is not None and (motion := gate_motion(stage)) is not None:
+        return gate_centers(stage) + motion.offset(time)
     layout = stage.layout
     if stage.landing and layout is None:
         return np.column_stack([rotate_yaw(PAD_XY, stage.yaw) + np.asarray(stage.origin), np.zeros(3)])
     places = GATE_XY if layout is None else np.array([[place.x, place.y] for place in layout])
     heights = np.full(3, GATE_HEIGHT) if layout is None else np.array([place.height for place in layout])
     return np.column_stack([rotate_yaw(places, stage.yaw) + np.asarray(stage.origin), heights])
+
+
+def gate_velocities(stage: Stage, time: float) -> Vectors:
+    """(3, 3) how fast the gates move at a time, s since the flight began, world, m/s."""
+    motion = gate_motion(stage)
+    return np.zeros((3, 3)) if motion is None else motion.velocity(time)
+
+
+def gate_motion(stage: Stage) -> Motion | None:
+    """How the three gates move with their panels, in the world; none if all stand still."""
+    motion = None if stage.layout is None else motion_of(stage.layout)
+    return None if motion is None else _turned(motion, stage.yaw)
+
+
+def _turned(motion: Motion, yaw: float) -> Motion:
+    """The motion in the world of a stage with heading `yaw`, rad."""
+    return replace(motion, reach=rotate_yaw(motion.reach, yaw))
+
+
+def moving_parts(stage: Stage) -> tuple[tuple[str, ...], Motion] | None:
+    """Names of what moves, such as "gate0", "panel0" and "obstacle3" (by the index in `solids`), and how; else none."""
+    names: list[str] = []
+    motions: list[Motion] = []
+    kinds = (("gate", gate_motion(stage)), ("panel", gate_motion(stage)), ("obstacle", solids(stage).motion))
+    for kind, motion in kinds:
+        if motion is not None:
+            moving = np.flatnonzero(motion.reach.any(axis=-1))
+            shown = {"gate": standing(stage), "panel": panelled(stage)}.get(kind, moving.tolist())
+            chosen = [int(index) for index in moving if index in shown]
+            names += [f"{kind}{index}" for index in chosen]
+            motions.append(Motion(motion.reach[chosen], motion.rate[chosen], motion.phase[chosen]))
+    if not names:
+        return None
+    parts = ((each.reach for each in motions), (each.rate for each in motions), (each.phase for each in motions))
+    return tuple(names), Motion(*(np.concatenate(list(part)) for part in parts))
 
 
 def gate_yaws(stage: Stage) -> FloatArray:
@@ -81,6 +123,12 @@ def half_width(stage: Stage, index: int) -> float:
     if stage.landing:
         return PAD_RADIUS
     return float(np.abs(opening_outline(stage.gates[index], grow=BAR_WIDTH)[:, 0]).max())
+
+
+def half_way(stage: Stage, index: int) -> float:
+    """As `half_width`, on all of the way of a gate that moves, m; 0 for one that stands still."""
+    sway = 0.0 if stage.layout is None else stage.layout[index].sway
+    return half_width(stage, index) + sway if sway else 0.0
 
 
 def panel_centers(stage: Stage) -> Vectors:
@@ -112,8 +160,8 @@ def board_label(stage: Stage) -> str | None:
 def solids(stage: Stage) -> Solids:
     """What is in the way, in the world; the panel of a landmark, whose picture is drawn, is the last of them."""
     found = solids_of(stage.obstacles, stage.landmark)
-    if (motion := found.motion) is not None:
-        found = replace(found, motion=replace(motion, reach=rotate_yaw(motion.reach, stage.yaw)))
+    if found.motion is not None:
+        found = replace(found, motion=_turned(found.motion, stage.yaw))
     centers = rotate_yaw(found.centers, stage.yaw) + np.array([*stage.origin, 0.0])
     return replace(found, centers=centers, yaws=found.yaws + stage.yaw)
 
@@ -131,7 +179,8 @@ def panelled(stage: Stage) -> tuple[int, ...]:
 def next_stage_origin(stage: Stage, gate_index: int) -> tuple[tuple[float, float], float]:
     """Origin (x, y) in m and yaw in rad of the next stage after flying through gate `gate_index` (0 to 2).
 
-    Its x axis runs along the gate's outward normal, from `NEXT_STAGE_DISTANCE` behind the gate.
+    Its x axis runs along the gate's outward normal, from `NEXT_STAGE_DISTANCE` behind the gate, which counts as in the
+    middle of its way if it moves.
     """
     center = gate_centers(stage)[gate_index]
     yaw = float(gate_yaws(stage)[gate_index])

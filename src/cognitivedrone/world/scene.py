@@ -7,13 +7,14 @@ rendering fast, and pictures independent of what was drawn before.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from cognitivedrone.frames import quaternion_from_yaw, rotation_matrix
-from cognitivedrone.layout.obstacles import Solids
-from cognitivedrone.types import COLORS, DroneState, FloatArray, Stage
+from cognitivedrone.layout.motion import Motion
+from cognitivedrone.types import COLORS, DroneState, FloatArray, Stage, Vectors
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import RGB, Appearance
 from cognitivedrone.world.assets import BOARD, Assets, Placed
@@ -30,6 +31,17 @@ _ROTOR_RADIUS = 0.065
 _BODY_COLOR: RGB = (0.15, 0.15, 0.17)
 _FRONT_COLOR: RGB = (1.0, 0.55, 0.0)
 _REAR_COLOR: RGB = (0.35, 0.35, 0.4)
+
+
+@dataclass(frozen=True, slots=True)
+class Movers:
+    """What moves in a scene."""
+
+    geoms: tuple[int, ...]
+    """Indices."""
+    places: Vectors
+    """(n, 3) in the middle of their way, world, m."""
+    motion: Motion
 
 
 def new_scene(assets: Assets) -> Any:
@@ -49,9 +61,9 @@ def fill_scene(
     board_aspect: float | None,
     appearance: Appearance,
     panorama: int = -1,
-) -> int:
-    """Replace the content of `scene` by a stage whose pictures are in the textures of `slot`; returns the index of the
-    geom of the first obstacle, for `move_obstacles`.
+) -> Movers | None:
+    """Replace the content of `scene` by a stage whose pictures are in the textures of `slot`; returns what moves in it,
+    for `move`.
 
     `aspects` are the labels' widths over heights; `board_aspect` is the board's, or None without a board. `panorama`
     is the texture of the appearance's place. A gate that stands alone has no panel. Room and light belong to the stage:
@@ -60,11 +72,13 @@ def fill_scene(
     scene.ngeom = 0
     level = rotation_matrix(quaternion_from_yaw(stage.yaw))
     centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
+    placed: dict[str, tuple[int, FloatArray]] = {}
     for index in geometry.standing(stage):
         gate = stage.gates[index]
         color = appearance.gate_colors[COLORS.index(gate.color)]
         mesh = assets.gates[gate.size, gate.shape]
-        _add_mesh(scene, mesh, centers[index], rotation_matrix(quaternion_from_yaw(yaws[index])), color, _GATE_GLOW)
+        axes = rotation_matrix(quaternion_from_yaw(yaws[index]))
+        placed[f"gate{index}"] = _add_mesh(scene, mesh, centers[index], axes, color, _GATE_GLOW)
     pictures = assets.pictures[slot]
     paper: RGB = (appearance.panel_brightness,) * 3
     panels = geometry.panel_centers(stage)
@@ -72,29 +86,33 @@ def fill_scene(
         yaw, aspect = yaws[index], aspects[index]
         size = np.array([1.0, aspect * geometry.PANEL_HEIGHT, geometry.PANEL_HEIGHT])
         axes = rotation_matrix(quaternion_from_yaw(yaw)) * size
-        _add_mesh(scene, assets.panel, panels[index], axes, paper, 1.0, int(pictures[index]))
+        picture = int(pictures[index])
+        placed[f"panel{index}"] = _add_mesh(scene, assets.panel, panels[index], axes, paper, 1.0, picture)
     if board_aspect is not None:
         center, yaw, *sides = geometry.board_panel(stage, board_aspect)
         axes = rotation_matrix(quaternion_from_yaw(yaw)) * np.array([1.0, *sides])
         _add_mesh(scene, assets.panel, center, axes, paper, 1.0, int(pictures[BOARD]))
-    first: int = scene.ngeom
     if stage.obstacles or stage.landmark:
-        _add_obstacles(scene, stage)
+        placed |= _add_obstacles(scene, stage)
     if stage.landing:
         for gate, center in zip(stage.gates, centers, strict=True):
             _add_pad(scene, center, appearance.gate_colors[COLORS.index(gate.color)])
     _add_surroundings(scene, assets, stage, level, appearance, panorama)
     _set_light(scene, level, appearance)
-    return first
+    if (moving := geometry.moving_parts(stage)) is None:
+        return None
+    names, motion = moving
+    geoms, places = zip(*(placed[name] for name in names), strict=True)
+    movers = Movers(geoms, np.stack(places), motion)
+    move(scene, movers, 0.0)
+    return movers
 
 
-def move_obstacles(scene: Any, first: int, solids: Solids, time: float) -> None:
-    """Put what moves where it is at a time, s since the flight began; `first` as `fill_scene` returned it."""
-    if (motion := solids.motion) is None:
-        return
-    places = solids.at(time).centers
-    for index in np.flatnonzero(motion.reach.any(axis=-1)).tolist():
-        scene.geoms[first + index].pos[:] = places[index]
+def move(scene: Any, movers: Movers, time: float) -> None:
+    """Put what moves where it is at a time, s since the flight began."""
+    places = movers.places + movers.motion.offset(time)
+    for index, place in zip(movers.geoms, places, strict=True):
+        scene.geoms[index].pos[:] = place
 
 
 def _add_surroundings(
@@ -143,12 +161,16 @@ def _pattern(assets: Assets, pattern: Any) -> int:
 
 def _add_mesh(
     scene: Any, mesh: Placed, position: FloatArray, axes: FloatArray, color: RGB, glow: float, material: int = -1
-) -> None:
-    """Place a mesh. `axes` (3, 3) may stretch it: its columns are the mesh's own axes in the world."""
+) -> tuple[int, FloatArray]:
+    """Place a mesh. `axes` (3, 3) may stretch it: its columns are the mesh's own axes in the world.
+
+    Returns the geom's index and position (3,), m.
+    """
+    place: FloatArray = position + axes @ mesh.position
     geom = _next_geom(
         scene,
         mujoco.mjtGeom.mjGEOM_MESH,
-        position + axes @ mesh.position,
+        place,
         axes @ mesh.rotation,
         np.ones(3),
         color,
@@ -157,6 +179,7 @@ def _add_mesh(
     geom.dataid = 2 * mesh.mesh  # even numbers are meshes, odd ones their convex hulls
     geom.matid = material
     geom.texcoord = int(material >= 0)
+    return scene.ngeom - 1, place
 
 
 def _add_shape(scene: Any, kind: Any, position: FloatArray, axes: FloatArray, size: FloatArray, color: RGB) -> None:
@@ -164,16 +187,18 @@ def _add_shape(scene: Any, kind: Any, position: FloatArray, axes: FloatArray, si
     geom.dataid = geom.matid = -1
 
 
-def _add_obstacles(scene: Any, stage: Stage) -> None:
-    """Boxes and cylinders; not the panel of a landmark."""
-    found = geometry.solids(stage)
+def _add_obstacles(scene: Any, stage: Stage) -> dict[str, tuple[int, FloatArray]]:
+    """Boxes and cylinders, not the panel of a landmark; returns geoms and positions by name."""
+    found, placed = geometry.solids(stage), {}
     for index in range(len(found.yaws) - (stage.landmark is not None)):
         is_round, half = bool(found.round[index]), found.halves[index]
         kind = mujoco.mjtGeom.mjGEOM_CYLINDER if is_round else mujoco.mjtGeom.mjGEOM_BOX
         size = np.array([half[0], half[2], 0.0]) if is_round else half
         axes = rotation_matrix(quaternion_from_yaw(found.yaws[index]))
+        placed[f"obstacle{index}"] = (scene.ngeom, found.centers[index])
         geom = _next_geom(scene, kind, found.centers[index], axes, size, OBSTACLE_COLORS[is_round], OBSTACLE_GLOW)
         geom.dataid = geom.matid = -1
+    return placed
 
 
 def _add_pad(scene: Any, center: FloatArray, color: RGB) -> None:

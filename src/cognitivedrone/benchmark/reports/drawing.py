@@ -49,6 +49,8 @@ class GateMark:
     """Name of its option, above the number; may be empty."""
     color: Color
     is_target: bool
+    way: tuple[float, float, float, float] | None = None
+    """Its ends, if it moves: x1, y1, x2, y2."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,12 +152,27 @@ def _gate_marks(
     centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
     for index in geometry.choices(stage):
         gate = stage.gates[index]
-        half = geometry.half_width(stage, index)
-        offsets = np.array([[0.0, half, 0.0], [0.0, -half, 0.0], [1.8 * text, 0.0, 0.0]])
+        half, reach = geometry.half_width(stage, index), geometry.half_way(stage, index)
+        lateral = [[half, 0.0], [-half, 0.0], [0.0, 1.8 * text], [reach, 0.0], [-reach, 0.0]]
+        offsets = np.array([[along, aside, 0.0] for aside, along in lateral])
         world = centers[index] + rotate_yaw(offsets, float(yaws[index]))
-        (x1, y1), (x2, y2), (label_x, label_y) = _to_page(world, base).round(2).tolist()
+        (x1, y1), (x2, y2), (label_x, label_y), left, right = _to_page(world, base).round(2).tolist()
         name = names[index] if names and len(names[index]) <= NAME_LENGTH else ""
-        marks.append(GateMark(index + 1, x1, y1, x2, y2, label_x, label_y, name, gate.color, index == target))
+        marks.append(
+            GateMark(
+                index + 1,
+                x1,
+                y1,
+                x2,
+                y2,
+                label_x,
+                label_y,
+                name,
+                gate.color,
+                index == target,
+                (*left, *right) if reach else None,
+            )
+        )
     return tuple(marks)
 
 

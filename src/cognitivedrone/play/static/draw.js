@@ -35,11 +35,14 @@ export function drawMap(canvas, scene, path, live) {
   });
   pen.font = "14px system-ui, sans-serif";
   gates.forEach((gate) => {
-    const [a, b] = gate.ends.map((end) => page(local(end))), [x, y] = page(local(gate.at));
+    const [x, y] = page(local(gate.at));
     pen.strokeStyle = COLORS[gate.color];
-    pen.lineWidth = 6;
     pen.lineCap = "round";
-    pen.beginPath(); pen.moveTo(...a); pen.lineTo(...b); pen.stroke();
+    [[gate.way, 2], [gate.ends, 6]].filter(([ends]) => ends?.length).forEach(([ends, width]) => {  // its way, if it moves
+      const [a, b] = ends.map((end) => page(local(end)));
+      pen.lineWidth = width;
+      pen.beginPath(); pen.moveTo(...a); pen.lineTo(...b); pen.stroke();
+    });
     pen.fillStyle = SOFT;
     pen.textAlign = "center";
     const far = x > 0.8 * canvas.width;

@@ -20,18 +20,16 @@ from PIL import Image as PillowImage
 
 from cognitivedrone.errors import RenderError
 from cognitivedrone.frames import rotation_matrix
-from cognitivedrone.layout.obstacles import Solids
 from cognitivedrone.sim.drawing.gl import GLThread, enlarge_only, renderer_name
 from cognitivedrone.sim.drawing.readback import OneByOne, readback
 from cognitivedrone.sim.drawing.renderers import contexts_for, on_processor
 from cognitivedrone.sim.drawing.views import DOWN_MOUNT, FIELD_OF_VIEW, MOUNT, View, focal_length, top_view
 from cognitivedrone.types import IMAGE_SIZE, DroneState, FloatArray, Image, Images, Stage, Vector, Vectors
-from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import PLAIN, Appearance, expose
 from cognitivedrone.world.assets import BOARD, MAX_SLOTS, build_assets, write_picture, write_place
 from cognitivedrone.world.engine import mujoco
 from cognitivedrone.world.places import names
-from cognitivedrone.world.scene import add_drone, fill_scene, move_obstacles, new_scene
+from cognitivedrone.world.scene import Movers, add_drone, fill_scene, move, new_scene
 
 _NEAR, _FAR = 0.03, 200.0
 _TOP_DRONE_SCALE = 3.0
@@ -179,7 +177,7 @@ class _Renderer:
         self._scenes = [new_scene(self._assets) for _ in range(slots)]
         self._stages: list[Stage | None] = [None] * slots
         self._looks: list[Appearance] = [PLAIN] * slots
-        self._moving: list[tuple[int, Solids] | None] = [None] * slots  # first geom of the obstacles
+        self._movers: list[Movers | None] = [None] * slots
         self._places: dict[str, int] = {}  # the texture that each place is in
         self._viewport = mujoco.MjrRect(0, 0, size, size)
         self._readback = readback(renderer, self._context, size, size)
@@ -209,7 +207,7 @@ class _Renderer:
             mujoco.mjr_uploadTexture(self._assets.model, self._context, texture)
         place = self._texture_of(appearance.place, slot)
         aspects = [_aspect(image) for image in images]
-        first = fill_scene(
+        self._movers[slot] = fill_scene(
             self._scenes[slot],
             self._assets,
             slot,
@@ -221,8 +219,6 @@ class _Renderer:
         )
         _set_lens(self._scenes[slot], FIELD_OF_VIEW)
         self._stages[slot], self._looks[slot] = stage, appearance
-        solids = geometry.solids(stage)
-        self._moving[slot] = None if solids.motion is None else (first, solids)
 
     def _texture_of(self, place: str, slot: int) -> int:
         """The texture that has the panorama of a place for `slot`, filled if need be; -1 for no place."""
@@ -256,8 +252,8 @@ class _Renderer:
         def drawn() -> Iterator[int]:
             for index, slot in job:
                 self.stage(slot)
-                if (moving := self._moving[slot]) is not None:
-                    move_obstacles(self._scenes[slot], *moving, float(times[index]))
+                if (movers := self._movers[slot]) is not None:
+                    move(self._scenes[slot], movers, float(times[index]))
                 _aim(self._scenes[slot], eye[index], forward[index], up[index])
                 mujoco.mjr_render(self._viewport, self._scenes[slot], self._context)
                 yield index

@@ -168,14 +168,17 @@ class _Renderer:
         self._readback = OneByOne(self._context, self._width, self._height)
         self._rotors = [self._model.body(f"rotor{index}").mocapid[0] for index in range(len(ROTORS))]
         self._hubs = _hubs(airframe)
-        self._solids = geometry.solids(stage)
+        moving = geometry.moving_parts(stage)
+        self._movers = [self._model.geom(name) for name in moving[0]] if moving else []
+        self._middles = np.array([geom.pos for geom in self._movers])
+        self._motion = moving[1] if moving else None
 
     def draw(self, place: Vector, attitude: Quaternion, eye: Vector, yaw: float, spin: float, time: float) -> Image:
         """One frame; `eye` is the smoothed place of the drone, `yaw` the camera's heading."""
         data, camera = self._data, self._camera
-        if (motion := self._solids.motion) is not None:
-            for index in np.flatnonzero(motion.reach.any(axis=-1)).tolist():
-                self._model.geom(_obstacle(index)).pos = self._solids.at(time).centers[index]
+        if self._motion is not None:
+            for geom, pos in zip(self._movers, self._middles + self._motion.offset(time), strict=True):
+                geom.pos = pos
         drone = self._model.body("drone").mocapid[0]
         data.mocap_pos[drone], data.mocap_quat[drone] = place, attitude
         turned, hub = np.empty(4), np.empty(3)
@@ -311,16 +314,11 @@ def _add_stage(spec: Any, stage: Stage, scenery: Scenery) -> None:
     for index in range(len(found.yaws) - (stage.landmark is not None)):
         is_round, (depth, width, height) = bool(found.round[index]), found.halves[index]
         spec.worldbody.add_geom(
-            name=_obstacle(index), type=mujoco.mjtGeom.mjGEOM_CYLINDER if is_round else mujoco.mjtGeom.mjGEOM_BOX,
+            name=f"obstacle{index}", type=mujoco.mjtGeom.mjGEOM_CYLINDER if is_round else mujoco.mjtGeom.mjGEOM_BOX,
             pos=found.centers[index], quat=quaternion_from_yaw(found.yaws[index]),
             size=[depth, height, 0.0] if is_round else [depth, width, height],
             rgba=[*OBSTACLE_COLORS[is_round], 1.0],
         )  # fmt: skip
-
-
-def _obstacle(index: int) -> str:
-    """The name of the geom of a solid."""
-    return f"obstacle{index}"
 
 
 def _gate_color(appearance: Appearance, index: int) -> FloatArray:
@@ -341,8 +339,8 @@ def _add_picture(spec: Any, name: str, image: Image, height: float, place: Vecto
 
 def _add_placed(spec: Any, mesh: str, material: str, place: Vector, yaw: float, group: int = 0) -> None:
     spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh, material=material, pos=place, quat=quaternion_from_yaw(yaw),
-        group=group,
+        name=mesh, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh, material=material, pos=place,
+        quat=quaternion_from_yaw(yaw), group=group,
     )  # fmt: skip
 
 

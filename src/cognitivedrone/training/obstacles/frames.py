@@ -62,8 +62,11 @@ class ObstacleFlights(RolloutStream):
 
     def _expert_actions(self) -> Commands:
         actions, flight = super()._expert_actions(), self._worlds.simulator.flight
-        for world, detour in enumerate(self._detours):
-            wanted = None if detour is None else detour.wish(flight.position[world], flight.velocity[world])
+        for world, (detour, each) in enumerate(zip(self._detours, self._flights, strict=True)):
+            if detour is None:
+                continue
+            gate = geometry.gate_centers(each.stage)[each.flown]
+            wanted = detour.wish(flight.position[world], flight.velocity[world], gate)
             if wanted is not None:
                 actions[world] = command_for(wanted, flight.yaw[world], self.recipe.expert)
         return actions

@@ -108,8 +108,8 @@ def props_of(
     """
     if stage.landing:
         raise GazeboError("worlds for Gazebo have no landing pads; export each stage before the landing with --task ID")
-    if any(each.sway for each in stage.obstacles):
-        raise GazeboError("worlds for Gazebo stand still, and a stage has an obstacle that moves; export others")
+    if geometry.moving_parts(stage) is not None:
+        raise GazeboError("worlds for Gazebo stand still, and in a stage something moves; export others")
     centers, yaws = geometry.gate_centers(stage), geometry.gate_yaws(stage)
     home = (float(stage.origin[0]), float(stage.origin[1]), 0.0)
     paper = paint((appearance.panel_brightness,) * 3, 1.0, appearance)
