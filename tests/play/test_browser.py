@@ -105,7 +105,7 @@ def test_a_picture_is_dropped_on_a_panel_and_what_is_none_is_refused(page, tmp_p
     assert page.input_value("#slots .slot:nth-child(1) input[type=text]") == "red thing"
     assert page.input_value("#slots .slot:nth-child(2) input[type=text]") == "evil img src x onerror alert 1"
     page.set_input_files("#slots .slot:nth-child(3) input[type=file]", str(tmp_path / "a.svg"))
-    refused = "() => document.getElementById('notice').textContent.includes('not a PNG')"
+    refused = "() => document.getElementById('notice').textContent.includes('it is an SVG drawing')"
     page.wait_for_function(refused, timeout=WAIT_MS)
 
 

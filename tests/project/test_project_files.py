@@ -22,7 +22,7 @@ def text(name):
 def test_the_citation_names_this_version_and_licence():
     fields = dict(re.findall(r"^([a-z-]+): *(.*)$", text("CITATION.cff"), flags=re.MULTILINE))
     assert {"cff-version", "message", "title", "authors"} <= set(fields)  # required by the format
-    assert fields["version"] == cognitivedrone.__version__.partition(".dev")[0]
+    assert fields["version"] == (released() or [cognitivedrone.__version__])[0]
     assert fields["license"] == tomllib.loads(text("pyproject.toml"))["project"]["license"]
 
 
@@ -36,8 +36,18 @@ def test_the_change_log_has_the_form_of_keep_a_changelog():
         else:
             assert level == "###"
             assert title in kinds
-    released = [title.split("]")[0][1:] for level, title in headings[1:] if level == "##"]
-    assert cognitivedrone.__version__ in released or not released
+    if newest := released()[:1]:  # this version is the newest released one, or on the way to the next
+        number, dev, _ = cognitivedrone.__version__.partition(".dev0")
+        assert (number == newest[0]) if not dev else (numbers(number) > numbers(newest[0]))
+
+
+def released():
+    """The versions in the change log, newest first."""
+    return re.findall(r"^## \[(\d+\.\d+\.\d+)\]", text("CHANGELOG.md"), flags=re.MULTILINE)
+
+
+def numbers(version):
+    return tuple(map(int, version.split(".")))
 
 
 @pytest.mark.parametrize(
