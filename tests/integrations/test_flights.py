@@ -51,6 +51,14 @@ def test_an_episode_is_the_one_that_the_benchmark_flies(smoke, tmp_path, seed):
         assert flown(smoke, episode.episode, seed, Weaver()) == episode.stages
 
 
+@pytest.mark.parametrize("suite", ["open-v3:swaying", "open-v3:gates"])
+def test_gates_that_move_and_stages_with_two_of_them_are_those_of_the_benchmark(suite):
+    episodes = evaluate(Weaver(), suite=suite, episodes=2, progress=False).results.episodes
+    flights = Flights(Scenario.of(suite=suite))
+    assert [flown(flights, each.episode, 0, Weaver()) for each in episodes] == [each.stages for each in episodes]
+    flights.close()
+
+
 def test_another_seed_starts_elsewhere_and_the_same_one_does_not(smoke):
     first, other, again = (smoke.begin(3, seed) for seed in (0, 1, 0))
     assert first.state[3] != other.state[3]
