@@ -158,6 +158,19 @@ TABLES: Final[dict[str, Description]] = {
         },
     ),
     "photographs": photographs,
+    # docs/paper.md
+    "published-tasks": rows_of(
+        "published_tasks", {"pilot": "{who}", "passes, per cent": "{rate:.1f}", "flown in": "{where}"}
+    ),
+    "published-frames": rows_of(
+        "published_frames",
+        {"reasoner": "{who}"}
+        | {
+            name: f"{{{name}}}"
+            for name in ("Celebrities", "Patterns", "letters", "digits", "animals", "logos", "food", "math")
+        }
+        | {"all of 218": "**{total}**"},
+    ),
     "race": runs_of(
         "race",
         ["`cognitivedrone bench --policy race` with"],

@@ -196,7 +196,7 @@ def file_of(kind: str, text: str, table: Mapping[str, str], methods: Collection[
     if ask is None or not _takes(ask, call.arguments):
         return None
     found: Path | None = ask(**call.arguments)
-    if found is not None and found.exists():
+    if found is not None and found.exists() and not (found.is_dir() and getattr(call.factory, "reads_folder", False)):
         try:
             check_regular(found)  # before it is hashed: a pipe or a device would never end
         except OSError as error:

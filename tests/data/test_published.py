@@ -76,17 +76,18 @@ def test_frames_that_are_not_jpeg_become_jpeg(tmp_path):
         assert np.abs(decode_image(before).astype(int) - decode_image(after)).mean() < 3
 
 
-def test_published_actions_are_backward_displacements_along_the_movement():
-    """Flying 0.2 m a sample to the north and climbing, looking north-east."""
+def test_published_actions_are_backward_displacements_and_the_turn_to_the_right_gate():
+    """Flying 0.2 m a sample to the north and climbing, looking north-east, with the gate in the east."""
     steps = np.arange(6)
     position = np.column_stack([np.zeros(6), 0.2 * steps, 1 + 0.1 * steps])
-    actions = published_actions(position, quaternion_from_yaw(np.full(5, np.pi / 4)))
-    np.testing.assert_allclose(actions[0], [-0.6, 0, -0.3, np.pi / 4], atol=1e-12)
-    np.testing.assert_allclose(actions[3], [-0.4, 0, -0.2, np.pi / 4], atol=1e-12)  # only two samples are left
+    actions = published_actions(position, quaternion_from_yaw(np.full(5, np.pi / 4)), (3.0, 0.6))
+    np.testing.assert_allclose(actions[0], [-0.6, 0, -0.3, -np.pi / 4], atol=1e-12)  # from 0.6 m it is due east
+    turn = np.arctan2(-0.4, 3.0) - np.pi / 4
+    np.testing.assert_allclose(actions[3], [-0.4, 0, -0.2, turn], atol=1e-12)  # only two samples are left
 
 
-def test_a_drone_that_hovers_has_no_yaw_error():
-    actions = published_actions(np.ones((4, 3)), quaternion_from_yaw(np.full(4, 2.0)))
+def test_where_no_gate_is_right_there_is_no_turn():
+    actions = published_actions(np.ones((4, 3)), quaternion_from_yaw(np.full(4, 2.0)), None)
     np.testing.assert_array_equal(actions, np.zeros((4, 4)))
 
 

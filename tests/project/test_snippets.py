@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from made_once import made_once
+from published_checkout import make_checkout_with_flights
 from typed_commands import typed
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -125,6 +127,33 @@ def test_a_tutorial_works_from_top_to_bottom(name, tmp_path):
                 typed(arguments, tmp_path, **{**environment, "PYTHONPATH": path})
                 ran += 1
     assert ran
+
+
+def test_the_page_of_the_paper_works_on_files_of_their_form(tmp_path_factory):
+    """On a small checkout of the published form: every command, in the page's order."""
+    folder = made_once(tmp_path_factory, "checkout", make_checkout_with_flights)
+    work = tmp_path_factory.mktemp("paper")
+    (work / "checkout").symlink_to(folder / "checkout", target_is_directory=True)
+    ran = 0
+    for block in blocks_of((DOCS / "paper.md").read_text()):
+        if block.language != "sh" or block.not_run or block.text.startswith("git clone"):
+            continue
+        for _, arguments in commands_of(block.text):
+            if arguments[0] == "bench":  # few flights, and no processes, which take longer to start
+                drop = arguments.index("--episodes") if "--episodes" in arguments else len(arguments)
+                arguments = [
+                    *arguments[:drop],
+                    *arguments[drop + 2 :],
+                    "--episodes",
+                    "1",
+                    "--workers",
+                    "0",
+                    "--clips",
+                    "0",
+                ]
+            typed(arguments, work)
+            ran += 1
+    assert ran > 8
 
 
 @pytest.mark.parametrize(("page", "test"), ELSEWHERE.items())

@@ -45,7 +45,7 @@ sim --mavlink --links tcpin:127.0.0.1:PORT
 gazebo export --task open-v1:smoke/0000 --out world
 gazebo check world/nothing.sdf
 gazebo selftest --out selftest
-gazebo import nowhere --out imported
+predict --flights nowhere
 serve --policy small --port PORT
 play --port PORT --no-browser --out play
 collect --recipe debug --episodes 2 --workers 1 --out set

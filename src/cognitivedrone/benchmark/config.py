@@ -28,6 +28,10 @@ class Plan(Options):
     vehicle: VehicleSpec = VehicleSpec()
     episodes: Count | None = field(default=None, metadata={"identity": "episodes", "written": "always"})
     """Number of episodes to fly, from the first; all by default."""
+    missing: Literal["refuse", "skip"] = field(
+        default="refuse", metadata={"identity": "missing", "written": "where set"}
+    )
+    """Tasks whose picture the label folder lacks: refuse to start, or skip them and say how many."""
     latency: str = field(default="none", metadata={"identity": "latency", "written": "where set"})
     """Inference latency charged to the simulated clock: none, measured, or policy=80ms,reasoner=450ms (each value may
     also be measured, or a file with one number of ms per line)."""
@@ -91,12 +95,40 @@ class ReasonPlan(Options):
     """Reasoner: a name, with arguments if it takes any, or your own as module:attribute."""
     episodes: Count | None = field(default=None, metadata={"identity": "episodes", "written": "always"})
     """Number of episodes to ask about, from the first; all by default."""
+    missing: Literal["refuse", "skip"] = field(
+        default="refuse", metadata={"identity": "missing", "written": "where set"}
+    )
+    """Tasks whose picture the label folder lacks: refuse to start, or skip them and say how many."""
+    flights: Path | None = field(default=None, metadata={"identity": "flights", "written": "where set"})
+    """Recorded flights in place of a suite: a data set, or any folder of the published ones."""
+    every: Count | None = field(default=None, metadata={"identity": "every", "written": "where set"})
+    """With --flights: ask about every n-th frame; by default about the first alone."""
     frames: Count = field(default=1, metadata={"identity": "frames", "written": "always"})
     """Number of frames per stage, half a second apart while the drone hovers; the last answer counts."""
     out: Path | None = field(default=None, metadata=_NEVER)
     """Folder for the answers; results/reason-<suite>-<reasoner> by default."""
     overwrite: bool = field(default=False, metadata=_NEVER)
     """Delete the answers in that folder."""
+
+
+@dataclass(frozen=True, slots=True)
+class PredictPlan(Options):
+    """Ask a policy about recorded flights, and compare its commands with the recorded ones."""
+
+    flights: Path = field(metadata={"command": "always"})
+    """Recorded flights: a data set, or any folder of the published ones."""
+    policy: str = field(default="small", metadata={"command": "always"})
+    """Policy: a name, or your own as module:attribute."""
+    split: Literal["train", "val", "all"] = "all"
+    """Which flights of a data set."""
+    episodes: Count | None = None
+    """Number of flights, from the first; all by default."""
+    every: Count = 1
+    """Ask about every n-th step."""
+    tolerance: Annotated[float, Range(0.0)] = 0.1
+    """Error up to which a number counts as right, m/s and rad/s; policies with tokens are scored by token."""
+    out: Path | None = field(default=None, metadata=_NEVER)
+    """File for the scores; results/predict-<flights>-<policy>/predict.json by default."""
 
 
 Part = Literal["policy", "reasoner"]

@@ -46,6 +46,7 @@ COMMANDS: dict[str, dict[str, tuple[str, str]]] = {
         "submit": ("scoring:submit", "make a file for the leaderboard from finished runs"),
         "verify": ("scoring:verify", "fly a sample of a leaderboard file again"),
         "reason": ("scoring:reason", "score a reasoner alone, without flying"),
+        "predict": ("scoring:predict", "score a policy's actions on recorded flights"),
         "doctor": ("scoring:doctor", "say what is wrong with a policy: input, output, timing"),
         "audit": ("scoring:audit", "fly a pilot with one thing changed at a time"),
         "sweep": ("scoring:sweep", "fly a suite with increasing latency and plot the success rate"),
@@ -58,7 +59,6 @@ COMMANDS: dict[str, dict[str, tuple[str, str]]] = {
         "gazebo export": ("flying:export_world", "write tasks as worlds for Gazebo"),
         "gazebo check": ("flying:check_world", "check worlds with Gazebo's own parser"),
         "gazebo selftest": ("flying:selftest", "check the Gazebo of this machine"),
-        "gazebo import": ("flying:import_models", "import the published Gazebo tasks"),
     },
     "serve": {
         "serve": ("serving:serve", "serve a policy and a reasoner to remote clients"),

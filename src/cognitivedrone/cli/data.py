@@ -111,6 +111,10 @@ def import_(source: tyro.conf.Positional[Path], form: Annotated[str, tyro.conf.a
     from cognitivedrone.collect.importing import import_set
 
     print(visible(f"{out}: {import_set(source, form, out)} episodes"))  # noqa: T201
+    if form == "published":
+        from cognitivedrone.data.formats.published import agreement
+
+        print(visible(agreement(source)))  # noqa: T201
 
 
 def replay(folder: tyro.conf.Positional[Path], episode: tyro.conf.Positional[Index]) -> None:

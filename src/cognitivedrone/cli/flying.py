@@ -142,25 +142,6 @@ def check_world(files: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     print(visible(f"{len(files)} passed {check_files(files)}"))  # noqa: T201
 
 
-def import_models(source: tyro.conf.Positional[Path], out: Path) -> None:
-    """Convert tasks and panels of the published Gazebo classic collector to a task file and a folder of labels.
-
-    For example:
-
-      cognitivedrone gazebo import docker_CognitiveDrone_DataCollector/model_for_data_collection --out published
-
-    Args:
-        source: The collector's folder of models: a task file and a folder of panels for every type.
-        out: New folder to write.
-    """
-    from cognitivedrone.vehicles.gazebo.worlds.classic import import_collector
-
-    done = import_collector(source, out)
-    for kind, (tasks, pictures) in done.counts.items():
-        print(visible(f"{kind}: {tasks} tasks, {pictures} labels"))  # noqa: T201
-    print(visible(f"fly them: cognitivedrone bench --tasks {done.tasks} --labels {done.labels}"))  # noqa: T201
-
-
 def selftest(
     out: Path,
     arducopter: Path | None = None,

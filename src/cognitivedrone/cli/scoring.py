@@ -10,7 +10,7 @@ import tyro
 from tyro.conf import OmitArgPrefixes as Flat
 
 from cognitivedrone.audit.config import AuditPlan
-from cognitivedrone.benchmark.config import Plan, ReasonPlan, SweepPlan
+from cognitivedrone.benchmark.config import Plan, PredictPlan, ReasonPlan, SweepPlan
 from cognitivedrone.plan import Options, Scenario
 from cognitivedrone.ranges import Count, Index, Seed
 from cognitivedrone.text.printable import visible
@@ -71,12 +71,13 @@ def merge(
 
 
 def reason(plan: Annotated[Flat[ReasonPlan], tyro.conf.arg(name="")]) -> None:
-    """Score a reasoner alone, on the first frame of every flight, without flying.
+    """Score a reasoner alone, on the first frame of every flight, simulated or recorded, without flying.
 
     Writes reason.json and reason.jsonl, which `--reasoner replay:FOLDER/reason.jsonl` reads. Examples:
 
       cognitivedrone reason --suite open-v1:test --reasoner noisy-oracle
       cognitivedrone reason --suite open-v1:track --reasoner my_module:MyReasoner --out answers
+      cognitivedrone reason --flights docker_CognitiveDrone_DataCollector/Validation --reasoner small
     """
     from cognitivedrone.benchmark.reasoning.reason import ANSWERS_FILE, score_reasoner
     from cognitivedrone.benchmark.reasoning.reason_table import reason_table
@@ -86,6 +87,23 @@ def reason(plan: Annotated[Flat[ReasonPlan], tyro.conf.arg(name="")]) -> None:
     results = score_reasoner(plan)
     screen.print(reason_table(results))
     screen.print(f"answers: {results.out / ANSWERS_FILE}")
+
+
+def predict(plan: Annotated[Flat[PredictPlan], tyro.conf.arg(name="")]) -> None:
+    """Ask a policy about recorded flights without flying: L1 error, accuracy and cross-entropy of its actions.
+
+    The paper's three training curves, overall and by category. Examples:
+
+      cognitivedrone predict --flights data/paper --split val --policy small
+      cognitivedrone predict --flights docker_CognitiveDrone_DataCollector/Validation --policy openvla:checkpoint
+    """
+    from cognitivedrone.benchmark.open_loop import out_of, predict_table
+    from cognitivedrone.benchmark.open_loop import predict as ask
+    from cognitivedrone.terminal import console
+
+    screen = console()
+    screen.print(predict_table(plan, ask(plan)))
+    screen.print(f"scores: {out_of(plan)}")
 
 
 def sweep(plan: Annotated[Flat[SweepPlan], tyro.conf.arg(name="")]) -> None:

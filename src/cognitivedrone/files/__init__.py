@@ -141,6 +141,16 @@ def digest_of_file(path: Path, max_bytes: int | None = None) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
+def digest_of_files(path: Path) -> str:
+    """SHA-256 of a file, or over the names and contents of all JSON files below a folder; raises `OSError`."""
+    if not path.is_dir():
+        return digest_of_file(path)
+    digest = hashlib.sha256()
+    for file in own_files(path, "**/*.json"):
+        digest.update(f"{file.relative_to(path).as_posix()}\0{digest_of_file(file)}\n".encode(errors="surrogateescape"))
+    return digest.hexdigest()
+
+
 def _check(facts: os.stat_result, path: Path, max_bytes: int | None) -> None:
     if not stat.S_ISREG(facts.st_mode):
         kind = next((name for is_kind, name in _KINDS if is_kind(facts.st_mode)), "something else")

@@ -1,8 +1,9 @@
 """Label pack of a folder of images: `<kind>/<concept>.png` or `<concept>@<style>.png`.
 
-This is also the layout of published label folders (`Animals/cat.jpg`, `Food/Healthy/healthy_13.jpg`). Their names
-vary in case, and some files carry the `dae` of the panel's model (`cheetahdae.jpg`); both are ignored, as are blanks
-around names and how accents are stored (`texts.folded`).
+The folders of the published benchmark are read as they are: a checkout, its `model_for_data_collection`, or a category
+there (`Reasoning/Food/Healthy/healthy_13.dae`): the kind is the type's folder, and a panel shows the picture that its
+model names. Their names vary in case, and some files carry the `dae` of the panel's model (`cheetahdae.jpg`); both are
+ignored, as are blanks around names and how accents are stored (`texts.folded`). A number may be a word or digits.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ from pathlib import Path, PurePath
 
 from cognitivedrone import types
 from cognitivedrone.errors import LabelError, did_you_mean
-from cognitivedrone.files import check_regular, is_hidden, read_regular, reason_of
+from cognitivedrone.files import check_regular, is_hidden, own_files, read_regular, reason_of
 from cognitivedrone.files.texts import folded
+from cognitivedrone.labels.collada import MODEL, shown_by
 from cognitivedrone.labels.extended import ExtendedPack
 from cognitivedrone.labels.images import SUFFIXES, draw_several, frozen_array, read_image
 from cognitivedrone.pictures import MAX_FILE_BYTES, OTHER_SUFFIXES
@@ -27,6 +29,13 @@ from cognitivedrone.references import Reference, parse_reference
 MAX_FILES = 50_000
 """Of a folder: images of a pack, and files of any kind that are hashed."""
 _CACHED_IMAGES = 128
+PANELS_FOLDER = "model_for_data_collection"
+"""Of a published checkout: the only part of it that holds panels."""
+RECORDING = "data.csv"
+"""A folder with such a file is a recorded flight, whose frames are no label images."""
+_CATEGORIES = frozenset(category.replace("_", " ") for category in types.CATEGORIES)
+_TYPES = frozenset({"celebrities", "patterns", "animals", "digits", "letters", "logos", "food", "math_desk"})
+_NUMBERS = ("zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 _NOT_READ = (*OTHER_SUFFIXES, ".bmp")
 _MOST_NAMED = 5
 
@@ -36,15 +45,15 @@ class FolderPack:
 
     def __init__(self, folder: Path, fallback: ExtendedPack) -> None:
         self.name = str(folder)
-        self._folder = folder
+        self._folder = _panels_of(folder)
         self._fallback = fallback
-        self._files, self.remarks = _scan(folder)
+        self._files, self.remarks = _scan(self._folder)
         """Kinds, concepts and styles with their files; and sentences about pictures that are not shown."""
         self._kinds = {folded(kind): kind for kind in self._files}
         self._cached = lru_cache(maxsize=_CACHED_IMAGES)(self._draw)
 
     def __reduce__(self) -> tuple[type[FolderPack], tuple[Path, ExtendedPack]]:
-        return FolderPack, (self._folder, self._fallback)
+        return FolderPack, (Path(self.name), self._fallback)
 
     def image(self, reference: str) -> types.Image:
         """(H, W, 3) uint8 RGB, read-only, with the image's own aspect ratio, at most 256 px a side.
@@ -102,11 +111,11 @@ class FolderPack:
 
     def _path(self, reference: Reference) -> Path:
         kind = self._kinds[folded(reference.kind)]
-        concepts = self._files[kind]
-        concept = folded(reference.concept).removesuffix(".dae")
-        files = concepts.get(concept) or concepts.get(f"{concept}dae")
+        concept = folded(reference.concept).removesuffix(MODEL)
+        files = self._files_of(kind, concept)
         if files is None:
-            wanted = f"{kind}/{reference.concept.removesuffix('.dae')}.png (or .jpg, .jpeg, .webp)"
+            concepts = self._files[kind]
+            wanted = f"{kind}/{reference.concept.removesuffix(MODEL)}.png (or .jpg, .jpeg, .webp)"
             hint = did_you_mean(concept, concepts)
             raise LabelError(f"label '{reference}' is not in pack {self.name!r}: no file {wanted} there; {hint}")
         style = folded(reference.style) if reference.style else min(files)
@@ -115,6 +124,19 @@ class FolderPack:
             hint = did_you_mean(style, files)
             raise LabelError(f"label '{reference}' is not in pack {self.name!r} in style {style!r}; {hint}")
         return path
+
+    def _files_of(self, kind: str, concept: str) -> dict[str, Path] | None:
+        """The pictures of a concept by style: by its name or its model's, and of a number in whatever kind has it."""
+        number = _NUMBERS.index(concept) if concept in _NUMBERS else int(concept) if concept.isdecimal() else None
+        names = [concept, f"{concept}dae"]
+        if number is not None and number < len(_NUMBERS):
+            names += [str(number), _NUMBERS[number]]
+        elsewhere = [other for other in self._files if other != kind] if number is not None else []
+        for place in (kind, *elsewhere):
+            for name in names:
+                if files := self._files[place].get(name):
+                    return files
+        return None
 
 
 def digest_of_labels(folder: Path) -> str:
@@ -126,6 +148,7 @@ def digest_of_labels(folder: Path) -> str:
     """
     if not folder.is_dir():
         raise LabelError(f"--labels {folder} is not a folder of images")
+    folder = _panels_of(folder)
     digest = hashlib.sha256()
     there = (path for path in folder.rglob("*") if path.is_file() and not is_hidden(path.relative_to(folder)))
     files = list(islice(there, MAX_FILES + 1))
@@ -162,20 +185,42 @@ def _check_image_file(path: Path) -> None:
         raise LabelError(f"label image {path} cannot be read: {link}; remove it from the folder") from None
 
 
+def _panels_of(folder: Path) -> Path:
+    """The part of a folder that holds label images: all of it, but of a published checkout the panels alone."""
+    below = folder / PANELS_FOLDER
+    return below if below.is_dir() else next(iter(own_files(folder, f"*/{PANELS_FOLDER}")), folder)
+
+
+def _split(path: PurePath) -> tuple[str, str]:
+    """Kind and the rest of a picture's path: a published type, what a category holds, or the first folder."""
+    parts = path.parts[:-1]
+    plain = [folded(part) for part in parts]
+    first = next((i for i, part in enumerate(plain) if part in _TYPES), 0)
+    if not first and len(parts) > 1 and plain[0].replace("_", " ") in _CATEGORIES:
+        first = 1
+    kind = parts[first] if parts else ""
+    return kind, "/".join(path.parts[first + 1 :]) if parts else ""
+
+
 def _scan(folder: Path) -> tuple[dict[str, dict[str, dict[str, Path]]], tuple[str, ...]]:
     """Kind to concept (`folded`) to style ("" for none) to file; and sentences about pictures that are not shown.
 
-    Links that lead out of the folder and what `is_hidden` are ignored. Raises `LabelError` for a pipe, device, socket,
-    folder or dangling link with an image's name.
+    Links that lead out of the folder, recorded flights and what `is_hidden` are ignored. Raises `LabelError` for a
+    pipe, device, socket, folder or dangling link with an image's name.
     """
     root = folder.resolve()
     found: dict[str, dict[str, dict[str, Path]]] = {}
     spelled: dict[str, str] = {}
     twice: list[str] = []
     others: list[str] = []
+    unshown: list[str] = []
     count = 0
     for parent, folders, names in os.walk(folder):
+        if RECORDING in names:
+            folders.clear()
+            continue
         folders[:] = sorted(name for name in folders if not is_hidden(PurePath(name)))
+        pictures: list[Path] = []
         for name in sorted([*names, *folders]):
             path = Path(parent) / name
             if is_hidden(PurePath(name)):
@@ -184,24 +229,41 @@ def _scan(folder: Path) -> tuple[dict[str, dict[str, dict[str, Path]]], tuple[st
                 if path.suffix.lower() in _NOT_READ:
                     others.append(path.relative_to(folder).as_posix())
                 continue
-            folder_name, _, rest = path.relative_to(folder).as_posix().partition("/")
+            folder_name, rest = _split(path.relative_to(folder))
             _check_image_file(path)
             if not rest or not path.resolve().is_relative_to(root):
                 continue
             count += 1
             if count > MAX_FILES:
                 raise LabelError(f"label folder {folder} holds more than {MAX_FILES} images")
+            pictures.append(path)
             concept, _, style = rest[: -len(path.suffix)].partition("@")
             kind = spelled.setdefault(folded(folder_name), unicodedata.normalize("NFC", folder_name).strip())
             styles = found.setdefault(kind, {}).setdefault(folded(concept), {})
             if (shown := styles.setdefault(folded(style), path)) != path:
                 twice.append(f"{path.relative_to(folder)} beside {shown.relative_to(folder)}")
+        models = {folded(Path(name).stem): name for name in sorted(names) if name.lower().endswith(MODEL) and pictures}
+        for name in models.values():
+            model = Path(parent) / name
+            try:
+                picture = shown_by(model, pictures)
+            except LabelError:
+                picture = None
+            folder_name, rest = _split(model.relative_to(folder))
+            if picture is None:
+                unshown.append(model.relative_to(folder).as_posix())
+            else:
+                concepts = found[spelled[folded(folder_name)]]
+                if folded(picture.stem) not in models:  # it is no concept of its own
+                    concepts.pop(folded(_split(picture.relative_to(folder))[1][: -len(picture.suffix)]), None)
+                concepts[folded(rest[: -len(MODEL)])] = {"": picture}
     unread = f"{_some(others)} cannot be read: save them as PNG, JPEG or WebP" if others else ""
     if not found:
         hint = f"; {unread}" if others else ""
         raise LabelError(f"label folder {folder} holds no images; expected files such as animal/cat.png in it{hint}")
     same = f"two files have one name, and the first is not shown: {_some(twice)}; rename or remove one of each"
-    remarks = [*([same] if twice else []), *([unread] if others else [])]
+    bare = f"the pictures of {_some(unshown)} are not beside them, or cannot be told; put them there"
+    remarks = [*([same] if twice else []), *([unread] if others else []), *([bare] if unshown else [])]
     return found, tuple(f"label folder {folder}: {remark}" for remark in remarks)
 
 

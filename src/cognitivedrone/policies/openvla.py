@@ -9,12 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError, NonFiniteAction, PluginError, PolicyError, import_extra
 from cognitivedrone.interfaces import Policy, attempt
 from cognitivedrone.models.card import EMULATED, in_memory, shortage, warn, why_none
 from cognitivedrone.models.compiling import compiled_or_plain
 from cognitivedrone.models.openvla import checkpoint as checkpoints
+from cognitivedrone.models.openvla.actions import to_tokens
 from cognitivedrone.models.openvla.checkpoint import Checkpoint, DecoderName, Quantisation
 from cognitivedrone.models.openvla.config import IMAGE
 from cognitivedrone.models.openvla.prepare import BEGIN, prompt_ids, read_encoder
@@ -22,7 +24,7 @@ from cognitivedrone.terminal.progress import counted
 from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, FloatArray, Image, Observation
 
 if TYPE_CHECKING:
-    from cognitivedrone.models.openvla.decode import Decoder
+    from cognitivedrone.models.openvla.decode import Autoregressive, Decoder
 
 _SHAPE = (IMAGE_SIZE, IMAGE_SIZE, 3)
 SMALL = 2_000_000_000
@@ -115,6 +117,22 @@ class OpenVla(Policy):
             frame if isinstance(frame, Exception) else attempt(fork._decided, next(answers))
             for fork, frame in zip(forks, found, strict=True)
         ]
+
+    @property
+    def has_tokens(self) -> bool:
+        """Whether its actions are tokens; those of the parallel decoder are numbers."""
+        return self.options.decoder == "ar"
+
+    def token_answer(
+        self, observation: Observation, action: FloatArray
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+        """Of a true action's (4,) tokens, each given those before it: whether it is the likeliest one (4,), and its
+        cross-entropy (4,), nats.
+        """
+        tokens = to_tokens(self.checkpoint.statistics.normalise(action[None]))[0]
+        image, ids = self._frame(observation)
+        logs = cast("Autoregressive", self._decode).log_probabilities(image, ids, tokens.tolist())
+        return logs.argmax(axis=1) == tokens, -logs[np.arange(len(tokens)), tokens].astype(np.float64)
 
     def fork(self) -> Self:
         """As `Policy.fork`."""

@@ -17,6 +17,7 @@ REASONERS: dict[str, str] = {
     "oracle": "cognitivedrone.reasoners.oracle:Oracle",
     "noisy-oracle": "cognitivedrone.reasoners.noisy_oracle:NoisyOracle",
     "replay": "cognitivedrone.reasoners.replay:Replay",
+    "published": "cognitivedrone.reasoners.published:Published",
     "vlm": "cognitivedrone.reasoners.vlm:Vlm",
     "remote": "cognitivedrone.reasoners.remote:Remote",
     "vlm-local": "cognitivedrone.reasoners.vlm_local:LocalVlm",

@@ -23,6 +23,7 @@ from cognitivedrone.errors import TaskError, did_you_mean
 from cognitivedrone.files import read_regular, reason_of, replace_file
 from cognitivedrone.files.texts import decoded, load_json
 from cognitivedrone.tasks.families import FAMILIES
+from cognitivedrone.tasks.published import SETUP_FILE, PublishedType, published_type, type_of
 from cognitivedrone.tasks.validate import check_text, validate_task
 from cognitivedrone.text.printable import unprintable
 from cognitivedrone.types import (
@@ -39,18 +40,6 @@ from cognitivedrone.types import (
 
 MAX_FILE_BYTES = 64 * 2**20
 MAX_TASKS = 200_000
-
-PUBLISHED_TYPES: dict[str, tuple[Category, str]] = {
-    "Celebrities": ("human_recognition", "people"),
-    "Patterns": ("human_recognition", "attributes"),
-    "Animals": ("symbol_understanding", "animals"),
-    "Digits": ("symbol_understanding", "digits"),
-    "Letters": ("symbol_understanding", "letters"),
-    "Logos": ("symbol_understanding", "logos"),
-    "Food": ("reasoning", "food"),
-    "Math_desk": ("reasoning", "math_board"),
-}
-"""Category and family of published files, by file stem."""
 
 _SUM = re.compile(r"([0-9]+)([-+*])([0-9]+)")
 _BOARD = re.compile(rf"sum/{_SUM.pattern}@")
@@ -122,11 +111,14 @@ def task_to_json(task: Task) -> dict[str, Any]:
     return obj
 
 
-def task_from_json(obj: object, *, where: str, kind: str | None = None, default_id: str | None = None) -> Task:
+def task_from_json(
+    obj: object, *, where: str, kind: str | PublishedType | None = None, default_id: str | None = None
+) -> Task:
     """The task that a JSON object describes, validated.
 
-    `where` names the place in error messages. `kind` is the published type, the file's stem: it names the label folder
-    and supplies category and family if the object does not. Raises `TaskError` for anything malformed.
+    `where` names the place in error messages. `kind` is the published type, or the file's stem, which names it: it
+    names the label folder and supplies category and family if the object does not. Raises `TaskError` for anything
+    malformed.
     """
     if not isinstance(obj, dict):
         raise TaskError(f"{where}: a task must be a JSON object, not {type(obj).__name__}")
@@ -138,12 +130,15 @@ def task_from_json(obj: object, *, where: str, kind: str | None = None, default_
     if correct is not None and (type(correct) is not int or not 1 <= correct <= 3):
         raise TaskError(f"{where}: correct is {repr(correct)[:40]}; it must be 1, 2 or 3, the number of the right gate")
     options = _three(obj["options"], "options", where)
-    category, family = _category_and_family(obj, kind, where)
+    known = published_type(kind) if isinstance(kind, str) else kind
+    stem = kind if isinstance(kind, str) else None
+    category, family = _category_and_family(obj, known, stem, where)
     labels = obj.get("labels")
     if labels is None:
-        if kind is None:
+        folder = known.folder if known else stem
+        if folder is None:
             raise TaskError(f"{where}: key 'labels' is missing; add three label references such as 'animal/cat@noto'")
-        labels = [f"{kind}/{option.removesuffix('.dae')}" for option in options]
+        labels = [f"{folder}/{option.removesuffix('.dae')}" for option in options]
     task = Task(
         id=obj.get("id", default_id or where),
         category=category,
@@ -330,13 +325,15 @@ def _board(obj: Mapping[str, Any], where: str) -> str | None:
     return cast(str, board)
 
 
-def _category_and_family(obj: Mapping[str, Any], kind: str | None, where: str) -> tuple[Category, str]:
-    category, family = PUBLISHED_TYPES.get(kind or "", (None, None))
+def _category_and_family(
+    obj: Mapping[str, Any], known: PublishedType | None, stem: str | None, where: str
+) -> tuple[Category, str]:
+    category, family = (known.category, known.family) if known else (None, None)
     if family is None and obj.get("task") is not None:
         category, family = "reasoning", "math_board"
     if family is None and isinstance(obj["prompt"], str) and _SUM_IN_PROMPT.search(obj["prompt"]):
         category, family = "reasoning", "math"
-    family = obj.get("family", family or (kind or "").lower() or None)
+    family = obj.get("family", family or (stem or "").lower() or None)
     category = obj.get("category", category or (FAMILIES.get(family) if isinstance(family, str) else None))
     if category is None:
         raise TaskError(f'{where}: no category; add "category", one of {", ".join(ALL_CATEGORIES)}')
@@ -358,19 +355,24 @@ def read_json(path: Path, max_bytes: int = MAX_FILE_BYTES) -> object:
 
 
 def read_tasks(path: Path) -> list[Task]:
-    """The tasks of a file, in order; its stem is the published type. Raises `TaskError` with file and index."""
+    """The tasks of a file, in order: a list of them, or a single one. Its name, or for a recorded flight's task that of
+    a folder above it, is the published type. Raises `TaskError` with file and index.
+    """
     content = read_json(path)
+    name, known = type_of(path if path.parent.name else path.absolute())
+    if isinstance(content, dict) and (content.keys() & {"prompt"} or path.name == SETUP_FILE):
+        single = f"{name}/{path.parent.name}" if path.name == SETUP_FILE else f"{name}/0000"
+        return [task_from_json(content, where=str(path), kind=known or name, default_id=single)]
     if not isinstance(content, list):
         raise TaskError(f"{path}: a task file is a JSON list of tasks, not {type(content).__name__}")
     if not content:
         raise TaskError(f"{path}: holds no task")
     if len(content) > MAX_TASKS:
         raise TaskError(f"{path}: {len(content)} tasks are too many for one file; split it at {MAX_TASKS}")
-    kind = path.stem
     if problem := unprintable(path.name):
         raise TaskError(f"{path}: the file's name holds {problem}; give it another name")
     return [
-        task_from_json(obj, where=f"{path}[{index}]", kind=kind, default_id=f"{kind}/{index:04d}")
+        task_from_json(obj, where=f"{path}[{index}]", kind=known or name, default_id=f"{name}/{index:04d}")
         for index, obj in enumerate(content)
     ]
 

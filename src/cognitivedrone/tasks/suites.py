@@ -15,11 +15,11 @@ from typing import Any, overload
 import numpy as np
 
 from cognitivedrone.errors import TaskError, did_you_mean
-from cognitivedrone.files import own_files
 from cognitivedrone.tasks.directives import HOLD, write_directive
 from cognitivedrone.tasks.families import BASE_FAMILIES, FAMILIES, HARD_FAMILIES, generator
 from cognitivedrone.tasks.format import read_tasks, task_from_json, task_to_json
 from cognitivedrone.tasks.generate import TRAIN, Draw, Generator, Pools, Puzzle, Scene
+from cognitivedrone.tasks.published import task_files
 from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.text.printable import unprintable
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Task, Track
@@ -267,21 +267,21 @@ def _fixed_suite(name: str) -> Suite:
 def suite_from_files(path: Path) -> Suite:
     """A user's own suite: a task file, or a folder of them, in the published layout.
 
-    A folder contributes its `*.json`, or, if it has none, the `<Type>/<Type>.json` of published folders below it.
-    Every task is a track of one stage, except that tasks of the same mission that follow one another are the stages of
-    one, up to its landing. Raises `TaskError` with file, index and fix.
+    What a folder contributes, `published.task_files` says. Every task is a track of one stage, except that tasks of the
+    same mission that follow one another are the stages of one, up to its landing. Raises `TaskError` with file, index
+    and fix.
     """
     path = Path(path)
     if problem := unprintable(path.name):
         raise TaskError(f"{path}: the name holds {problem}; give the file or folder another name")
-    files = [path]
-    if path.is_dir():
-        files = own_files(path, "*.json") or [p for p in own_files(path, "**/*.json") if p.stem == p.parent.name]
-        if not files:
-            raise TaskError(f"{path}: holds no task file; put *.json task files there")
     tasks: dict[str, Task] = {}
-    for file in files:
-        for index, task in enumerate(read_tasks(file)):
+    contents: dict[frozenset[Any], Path] = {}
+    for file in task_files(path):
+        read = read_tasks(file)
+        content = frozenset((task.instruction, task.options, task.gates, task.target) for task in read)
+        if len(read) > 1 and (same := contents.setdefault(content, file)) != file:
+            raise TaskError(f"{same} and {file} hold the same tasks; remove one of them, or give one alone")
+        for index, task in enumerate(read):
             if task.id in tasks:
                 raise TaskError(f"{file}[{index}]: the id {task.id!r} is taken by an earlier task; give it another")
             tasks[task.id] = task

@@ -45,7 +45,7 @@ class _Field(ProgressColumn):
         return Text(str(task.fields[self._name]), no_wrap=True, overflow="ellipsis")
 
 
-def counted(items: Iterable[T], description: str, total: int, *, show: bool = True) -> Iterator[T]:
+def counted(items: Iterable[T], description: str, total: int | None, *, show: bool = True) -> Iterator[T]:
     """The items, counted by a bar."""
     with progress_bar(show=show) as bar:
         task = bar.add_task(description, total=total)

@@ -1,4 +1,4 @@
-"""Scores a reasoner alone, on the first frames of each flight, without flying.
+"""Scores a reasoner alone, on the first frames of each flight, simulated or recorded, without flying.
 
 Writes reason.jsonl, one line per answer, and reason.json, the scores. `--reasoner replay:FOLDER/reason.jsonl` repeats
 the same answers, in flight or here.
@@ -13,20 +13,23 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 
 from cognitivedrone.benchmark.config import Plan, ReasonPlan
 from cognitivedrone.benchmark.reasoning.reason_scoring import Answer, ReasonSummary, judge, summarize_answers
-from cognitivedrone.benchmark.runs.job import Job, resolve
+from cognitivedrone.benchmark.runs.job import resolve
 from cognitivedrone.benchmark.runs.provenance import platform_facts
 from cognitivedrone.benchmark.runs.runner import Interrupted, results_folder
 from cognitivedrone.benchmark.scores.codec import dumps
 from cognitivedrone.benchmark.scores.results import SuiteFacts, versions, write_whole
 from cognitivedrone.control.async_reasoner import asking, check_guidance
 from cognitivedrone.control.calls import begin_stage, seed_of
+from cognitivedrone.data.episode import decode_image
+from cognitivedrone.data.recorded import recorded, state_at
 from cognitivedrone.envs.track_runner import (
     TrackRunner,
     draw_start,
@@ -45,7 +48,8 @@ from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.sim.drawing.gl import renderer_name
 from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, DroneWorld, Start
 from cognitivedrone.system.interrupts import watched
-from cognitivedrone.tasks import Suite
+from cognitivedrone.tasks import Suite, task_to_json
+from cognitivedrone.tasks.suites import digest_of
 from cognitivedrone.terminal.progress import counted
 from cognitivedrone.text.printable import shown_address
 from cognitivedrone.types import CONTROL_HZ, REASONER_HZ, EpisodeContext, GroundTruth, Guidance, Image, Stage
@@ -86,7 +90,24 @@ class View:
     truth: GroundTruth
     look: Callable[[], Image]
     """Returns a new frame, (256, 256, 3), of the drone hovering at the start; each call after the first is
-    1 / `REASONER_HZ` s later."""
+    1 / `REASONER_HZ` s later. Of a recorded flight, the frame."""
+    frame: int | None = None
+    """Of a recorded flight, from 0."""
+    seed: int = 0
+    """For a reasoner that draws random numbers."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Source:
+    """Where frames are from."""
+
+    suite: SuiteFacts
+    size: int | None
+    """Number of views, where it is known."""
+    options: Mapping[str, Any]
+    views: Callable[[Reasoner], Iterator[View]]
+    renderer: Callable[[], str]
+    """Its name, once there were views."""
 
 
 def score_reasoner(plan: ReasonPlan, *, progress: bool = True) -> ReasonResults:
@@ -96,8 +117,7 @@ def score_reasoner(plan: ReasonPlan, *, progress: bool = True) -> ReasonResults:
     that cannot be made or returns an invalid answer, and `Interrupted` on Ctrl-C; answers so far are kept.
     """
     began = time.perf_counter()
-    # The flights whose first frames are shown to the reasoner.
-    job = resolve(Plan.of(scenario=plan.scenario, reasoner=plan.reasoner, episodes=plan.episodes))
+    source = _recorded(plan) if plan.flights is not None else _simulated(plan)
     reasoner = make_reasoner(plan.reasoner)
     if reasoner is None:
         raise PluginError(f"--reasoner {plan.reasoner} gives no answers to score; name a reasoner, such as oracle")
@@ -105,18 +125,16 @@ def score_reasoner(plan: ReasonPlan, *, progress: bool = True) -> ReasonResults:
     out = out_of(plan)
     answers: list[Answer] = []
     with _open_answers(out, overwrite=plan.overwrite) as keep:
-        request = job.request
-        with Worlds(1, request.labels, request.conditions, airframe=request.airframe) as worlds:
-            try:
-                with watched():
-                    for answer in _ask_all(reasoner, worlds.runners[0], job, plan.frames, progress):
-                        answers.append(answer)
-                        keep(answer)
-            except KeyboardInterrupt:
-                raise Interrupted(f"stopped after {len(answers)} answers, all kept in {out / ANSWERS_FILE}") from None
-            renderer = renderer_name()
-    results = ReasonResults(job.facts.suite, plan, renderer, tuple(answers), time.perf_counter() - began, out)
-    write_whole(out / SUMMARY_FILE, dumps(_document(results, job.facts.options), indent=1) + "\n")
+        try:
+            with watched():
+                for view in counted(source.views(reasoner), "reasoning", source.size, show=progress):
+                    answer = _ask(reasoner, view, plan.frames)
+                    answers.append(answer)
+                    keep(answer)
+        except KeyboardInterrupt:
+            raise Interrupted(f"stopped after {len(answers)} answers, all kept in {out / ANSWERS_FILE}") from None
+    results = ReasonResults(source.suite, plan, source.renderer(), tuple(answers), time.perf_counter() - began, out)
+    write_whole(out / SUMMARY_FILE, dumps(_document(results, source.options), indent=1) + "\n")
     return results
 
 
@@ -124,7 +142,8 @@ def out_of(plan: ReasonPlan) -> Path:
     """The folder of the answers: the one given, or one named after suite and reasoner."""
     if plan.out is not None:
         return plan.out
-    names = ["reason", plan.scenario.title, shown_address(plan.reasoner)]
+    title = plan.scenario.title if plan.flights is None else plan.flights.absolute().name
+    names = ["reason", title, shown_address(plan.reasoner)]
     return results_folder(*names, *(["track"] if plan.scenario.track else []))
 
 
@@ -168,25 +187,47 @@ def _placed(start: Start, stage: Stage) -> Start:
     return replace(start, position=(float(x), float(y), start.position[2]), yaw=start.yaw + stage.yaw)
 
 
-def _ask_all(reasoner: Reasoner, track_runner: TrackRunner, job: Job, frames: int, progress: bool) -> Iterator[Answer]:
-    """The answers to every stage, in order; the reasoner gets the same context as in flight.
+def _simulated(plan: ReasonPlan) -> _Source:
+    """The starts of the flights of a suite; nobody is asked about a landing, which the control loop flies by itself."""
+    job = resolve(Plan.of(scenario=plan.scenario, reasoner=plan.reasoner, episodes=plan.episodes, missing=plan.missing))
+    request, seed = job.request, plan.scenario.seed
 
-    Nobody is asked about a landing, which the control loop flies by itself.
-    """
-    for episode in counted(job.episodes, "reasoning", len(job.episodes), show=progress):
-        rng = episode_rng(job.suite.digest, episode, job.plan.scenario.seed)
-        for view in views(track_runner, job.suite, episode, rng):
-            if view.index == 0:
-                seed = seed_of(reasoner, rng)
-            if view.truth.task.landing:
-                continue
-            context = EpisodeContext(view.truth.task.instruction, seed, view.index, view.truth)
-            yield _ask(reasoner, view, context, frames)
+    def all_views(reasoner: Reasoner) -> Iterator[View]:
+        with Worlds(1, request.labels, request.conditions, airframe=request.airframe) as worlds:
+            for episode in job.episodes:
+                rng = episode_rng(job.suite.digest, episode, seed)
+                own = 0
+                for view in views(worlds.runners[0], job.suite, episode, rng):
+                    own = own if view.index else seed_of(reasoner, rng)
+                    if not view.truth.task.landing:
+                        yield replace(view, seed=own)
+
+    stages = sum(not task.landing for episode in job.episodes for task in job.suite.tracks[episode])
+    return _Source(job.facts.suite, stages, job.facts.options, all_views, renderer_name)
 
 
-def _ask(reasoner: Reasoner, view: View, context: EpisodeContext, frames: int) -> Answer:
-    """The last answer to some frames, or the last fault if none of them got an answer."""
+def _recorded(plan: ReasonPlan) -> _Source:
+    """The first frame, or every n-th, of recorded flights: of a store, or of folders in the published layout."""
+    path = cast(Path, plan.flights)
+    flights = recorded(path, frame_lag=0)[: plan.episodes]
+    digest = digest_of([task_to_json(flight.task)] for flight in flights)
+
+    def all_views(reasoner: Reasoner) -> Iterator[View]:  # noqa: ARG001 - recordings leave nothing to chance
+        for number, flight in enumerate(flights):
+            episode = flight.load()
+            for frame in range(0, len(episode) if plan.every else 1, plan.every or 1):
+                truth = GroundTruth(flight.task, stage_of(flight.task), partial(state_at, episode, frame))
+                yield View(number, 0, truth, partial(decode_image, episode.images[frame]), frame)
+
+    options = {"seed": plan.scenario.seed, "track": False, "episodes": plan.episodes, "appearance": "recorded"}
+    facts = SuiteFacts(path.absolute().name, digest, len(flights))
+    return _Source(facts, None if plan.every else len(flights), options, all_views, lambda: "recorded")
+
+
+def _ask(reasoner: Reasoner, view: View, frames: int) -> Answer:
+    """The last answer to some frames, or the last fault if none of them got one; the context is that of a flight."""
     task = view.truth.task
+    context = EpisodeContext(task.instruction, view.seed, view.index, view.truth)
     guidance: Guidance | None = None
     fault: ReasonerError | None = None
     for number in range(frames):
@@ -194,7 +235,7 @@ def _ask(reasoner: Reasoner, view: View, context: EpisodeContext, frames: int) -
         begin = time.perf_counter()
         try:
             with asking():
-                if not number:
+                if not number and not view.frame:  # later frames are of the same flight
                     begin_stage(reasoner, context)
                 guidance = check_guidance(reasoner.refine(image, task.instruction))
         except ReasonerError as error:
@@ -220,6 +261,7 @@ def _ask(reasoner: Reasoner, view: View, context: EpisodeContext, frames: int) -
         right=judge(directive, task.gates, task.target),
         image_sha256=hashlib.sha256(image.tobytes()).hexdigest(),
         seconds=seconds,
+        frame=view.frame,
     )
 
 
@@ -264,11 +306,12 @@ def _document(results: ReasonResults, options: Mapping[str, Any]) -> Mapping[str
     plan = results.plan
     reasoner, words = shown_address(plan.reasoner), map(shown_address, plan.words())
     names = ("seed", "track", "episodes", "appearance", "labels", "reasoner_model")
+    recording = {} if plan.flights is None else {"flights": plan.flights.absolute().name, "every": plan.every}
     return {
         "schema": SCHEMA,
         "suite": results.suite,
         "reasoner": reasoner,
-        "options": {**{name: options.get(name) for name in names}, "frames": plan.frames},
+        "options": {**{name: options.get(name) for name in names}, "frames": plan.frames, **recording},
         "versions": versions(),
         "renderer": results.renderer,
         "scores": results.summary,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -67,6 +67,8 @@ class Answer:
     """Of the frame's bytes, (256, 256, 3) uint8 RGB."""
     seconds: float
     """Wall time of the scored answer, s; the only field that differs between two equal runs."""
+    frame: int | None = field(default=None, metadata={"json": "where set"})
+    """Of a recorded flight, from 0."""
 
 
 def judge(directive: str | None, gates: Sequence[Gate], target: int | None) -> Judgement:

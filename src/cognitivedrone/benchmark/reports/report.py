@@ -15,7 +15,7 @@ from typing import Final
 from cognitivedrone.benchmark.reports import drawing
 from cognitivedrone.benchmark.reports.clips import Clip
 from cognitivedrone.benchmark.reports.tables import DASH, interval, percent, words
-from cognitivedrone.benchmark.scores.published import PUBLISHED, comparable
+from cognitivedrone.benchmark.scores.published import PUBLISHED, are_papers_tasks, comparable, paper_rows
 from cognitivedrone.benchmark.scores.results import Results
 from cognitivedrone.benchmark.scores.run_types import Trace
 from cognitivedrone.benchmark.scores.scoring import OUTCOMES, PUBLISHED_REACH_M, RULES, Score, Summary, chance_of, score
@@ -115,6 +115,7 @@ def render_report(
     films = [_film_view(clip) for clip in _within_budget(clips)]
     failures = list(_failures(results.episodes, tracks))
     chance = chance_of(summary)
+    on_papers = are_papers_tasks(results.episodes)
     figures = list(_figures(summary, results.episodes, chance))
     across = [len(figures) if len(figures) <= most else math.ceil(len(figures) / 2) for most in ONE_ROW]
     filters: dict[str, Callable[..., object]] = {
@@ -143,7 +144,9 @@ def render_report(
         outcomes=OUTCOMES,
         segments=_segments(summary.overall),
         other_rule=next((rule, results.summary(rule).overall) for rule in RULES if rule != results.rule),
-        published=PUBLISHED if comparable(results) else (),
+        published=PUBLISHED,
+        paper=paper_rows(summary) if on_papers or comparable(results.run.suite.name, summary) else (),
+        on_papers=on_papers,
         reasoner=summary.overall.reasoner,
         maps=list(_maps(results.episodes, traces, summary)),
         failed_films=[film for film in films if not film.passed],

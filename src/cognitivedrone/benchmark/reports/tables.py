@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from cognitivedrone.benchmark.scores.comparison import Comparison, Difference
-from cognitivedrone.benchmark.scores.published import PUBLISHED, comparable
+from cognitivedrone.benchmark.scores.published import PUBLISHED, are_papers_tasks, comparable, paper_rows
 from cognitivedrone.benchmark.scores.results import Results
 from cognitivedrone.benchmark.scores.scoring import Interval, Score, Summary, chance_of
 from cognitivedrone.benchmark.scores.suspicions import suspicions
@@ -71,6 +71,7 @@ def results_table(results: Results, rule: Rule | None = None) -> RenderableType:
         table,
         *explained,
         "",
+        *_paper(results, summary),
         *_reasoning(summary, families),
         *_confusions(summary, families),
         *_notes(results, rule),
@@ -89,7 +90,32 @@ def _sentence(results: Results, summary: Summary, rule: Rule) -> Text:
         text += f", {percent(overall.rate)} (95 % interval {100 * low:.0f} to {100 * high:.0f} %)"
     if chance_of(summary) is not None:
         text += "; random choice gives a third"
+    if left_out := run.suite.left_out:
+        text += f" ({left_out})"
     return Text(text, style="bold")
+
+
+def _paper(results: Results, summary: Summary) -> Iterator[RenderableType]:
+    """The run in the form of the paper's table, where its tasks are the published ones."""
+    if not are_papers_tasks(results.episodes):
+        return
+    rows = paper_rows(summary)
+    short = {"human_recognition": "human", "symbol_understanding": "symbols"}
+    table = new_table("beside the paper, arXiv 2503.01378", "", *(short.get(row.name, row.name) for row in rows), gap=0)
+    table.add_row("this run", *(_with_limits(row.rate, row.ci95) for row in rows), style="bold")
+    for system in PUBLISHED:
+        theirs = (_with_limits(row.paper[system.name], row.paper_ci95[system.name]) for row in rows)
+        table.add_row(system.name, *theirs)
+    yield table
+    yield Text("95 % intervals; the paper's of its simulator and rule, for 56, 104 and 58 tasks", style="dim")
+    yield ""
+
+
+def _with_limits(rate: float | None, limits: Interval | None) -> str:
+    """0.596 as " 59.6 (53-66)"."""
+    if rate is None or limits is None:
+        return DASH
+    return f" {f'{100 * rate:.1f}'.replace('100.0', '100')} ({100 * limits[0]:.0f}-{100 * limits[1]:.0f})"
 
 
 def _reasoning(summary: Summary, families: Mapping[str, Score]) -> Iterator[RenderableType]:
@@ -290,7 +316,7 @@ def _notes(results: Results, rule: Rule) -> list[Text]:
         notes.append(Text(f"{text} {percent(mission.spl)}"))
         text = f"on missions: {mission.collisions} collisions, {rate} in 100 m; smallest clearance {room}; in forbidden"
         notes.append(Text(f"{text} zones {mission.forbidden_s:.1f} s, in {mission.forbidden} missions"))
-    if comparable(results):
+    if comparable(results.run.suite.name, summary):
         published = ", ".join(f"{score.name} {percent(score.overall)}" for score in PUBLISHED)
         notes.append(Text(f"the paper (arXiv 2503.01378), on its own tasks and simulator: {published}"))
     if (link := results.timing.link) is not None:

@@ -11,8 +11,9 @@ from cognitivedrone.benchmark.runs.shard import parse_shard
 from cognitivedrone.benchmark.scores.results import FILES, REQUIRED, RunFacts, SuiteFacts, versions
 from cognitivedrone.control.latency import Delays, parse_delays
 from cognitivedrone.envs.track_runner import TrackConfig
-from cognitivedrone.errors import RunError
-from cognitivedrone.files import digest_of_file
+from cognitivedrone.errors import LabelError, RunError
+from cognitivedrone.files import digest_of_file, digest_of_files
+from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.labels import load_pack
 from cognitivedrone.labels.folder import digest_of_labels
 from cognitivedrone.plan import PilotSpec, Scenario
@@ -21,10 +22,14 @@ from cognitivedrone.reasoners import NONE, REASONERS, reasoner_file
 from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.tasks import SUITES, Suite
 from cognitivedrone.tasks.scenario import suite_of
-from cognitivedrone.tasks.suites import CONDITIONS
+from cognitivedrone.tasks.suites import CONDITIONS, suite_of_tracks
+from cognitivedrone.types import Track
 from cognitivedrone.vehicles import autopilot_file, check_tracks, check_vehicle
 from cognitivedrone.vehicles.contract import Request
 from cognitivedrone.world.places import known_as
+
+MOST_NAMED = 20
+"""Pictures that are missing, named in one error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,13 +69,16 @@ def resolve(plan: Plan, *, named: bool = True) -> Job:
         "place": known_as(scenario.place),
     }
     pack = load_pack(labels)
+    asked = suite
+    if labels is not None or suite.name not in SUITES:  # the shipped pack draws every shipped suite
+        suite = _drawn(suite, pack, plan)
     options = plan.identity(resolved) | {"model": None if model is None else digest_of_file(model)}
     own = {"policy_code": own_module(policy, POLICIES), "reasoner_code": own_module(reasoner, REASONERS)}
     optional = {"reasoner_model": answers, **(own if named else {}), "autopilot": autopilot}
-    options |= {key: digest_of_file(file) for key, file in optional.items() if file is not None}
+    options |= {key: digest_of_files(file) for key, file in optional.items() if file is not None}
     recorded = plan.pilot.shown
     facts = RunFacts(
-        suite=SuiteFacts(suite.name, suite.digest, suite.n_tasks),
+        suite=SuiteFacts(suite.name, suite.digest, suite.n_tasks, None if suite is asked else asked.n_tasks),
         policy=recorded.policy,
         reasoner=recorded.reasoner,
         options={key: options[key] for key in (*REQUIRED, *options)},  # keeps the order of existing files
@@ -83,12 +91,6 @@ def resolve(plan: Plan, *, named: bool = True) -> Job:
         raise RunError(f"--shard {plan.shard} has no episode; give at most as many shards as the run has episodes")
     check_tracks(plan.vehicle, (suite.tracks[index] for index in episodes))
     request = Request(plan.vehicle, pack, find_airframe(scenario.airframe), TrackConfig.of(scenario))
-    if labels is not None or suite.name not in SUITES:  # the shipped pack draws every shipped suite
-        tasks = [task for index in episodes for task in suite.tracks[index]]
-        marks = [task.landmark.label for task in tasks if task.landmark]
-        pictures = [reference for task in tasks for reference in (*task.labels, task.board) if reference]
-        for reference in sorted({*pictures, *marks}):
-            pack.image(reference)
     return Job(plan, suite, facts, delays, episodes, request)
 
 
@@ -108,6 +110,41 @@ def pilot_of(facts: RunFacts, policy: str | None, reasoner: str | None) -> Pilot
     if reasoner is None and facts.reasoner != NONE:
         registry.check_self_contained("reasoner", facts.reasoner, REASONERS, reasoners.SELF_CONTAINED)
     return PilotSpec(policy or facts.policy, reasoner or facts.reasoner)
+
+
+def _drawn(suite: Suite, pack: LabelPack, plan: Plan) -> Suite:
+    """The suite, of which every picture has been drawn; with --missing skip, its tracks that have all of theirs.
+
+    Raises `LabelError` that names all pictures that are missing, each with what is near.
+    """
+    missing: dict[str, str] = {}
+    used = suite.tracks if plan.missing == "skip" else suite.tracks[: plan.episodes]
+    for reference in sorted({reference for track in used for reference in _references(track)}):
+        try:
+            pack.image(reference)
+        except LabelError as error:
+            missing[reference] = str(error)
+    if not missing:
+        return suite
+    kept = [track for track in used if missing.keys().isdisjoint(_references(track))]
+    if plan.missing == "skip" and kept:
+        return suite_of_tracks(suite.name, kept)
+    first, *others = missing.values()
+    if not others and kept:
+        raise LabelError(first)
+    words = f"{len(used) - len(kept)} of {len(used)} tasks of {suite.name} lack a picture"
+    if plan.scenario.labels is None:
+        raise LabelError(f"{words}: --tasks of one's own need their pictures; add --labels FOLDER ({first})")
+    shown = "; ".join([first, *others][:MOST_NAMED]) + (
+        f"; and {more} more" if (more := len(others) + 1 - MOST_NAMED) > 0 else ""
+    )
+    raise LabelError(f"{words}; add them, or leave the tasks out with --missing skip: {shown}")
+
+
+def _references(track: Track) -> set[str]:
+    """The label references of everything that a track shows."""
+    marks = {task.landmark.label for task in track if task.landmark}
+    return marks | {reference for task in track for reference in (*task.labels, task.board) if reference}
 
 
 def _check_conditions(scenario: Scenario) -> None:

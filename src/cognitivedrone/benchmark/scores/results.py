@@ -12,6 +12,7 @@ from typing import Any, Final
 import cognitivedrone
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.scores.codec import decode, dumps, encode, read_document
+from cognitivedrone.benchmark.scores.published import are_papers_tasks, paper_rows
 from cognitivedrone.benchmark.scores.scoring import RULES, Summary, summarize
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import replace_file, writing
@@ -39,6 +40,13 @@ class SuiteFacts:
     """SHA-256 of the tasks."""
     size: int
     """Number of tasks."""
+    asked: int | None = field(default=None, metadata={"json": "where set"})
+    """Number of tasks before those without a picture were left out (`--missing skip`), if any were."""
+
+    @property
+    def left_out(self) -> str:
+        """How many tasks were flown of how many, if some were left out; else empty."""
+        return "" if self.asked is None else f"{self.size} of {self.asked} tasks; the others lack a picture"
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +121,7 @@ def results_to_json(results: Results) -> dict[str, Any]:
         "renderer": results.renderer,
         "rule": results.rule,
         "scores": {rule: encode(results.summary(rule)) for rule in RULES},
+        **({"paper": encode(paper_rows(results.summary()))} if are_papers_tasks(results.episodes) else {}),
         "episodes": encode(results.episodes),
         "platform": encode(results.platform),
         "timing": encode(results.timing),
@@ -124,7 +133,7 @@ def results_from_json(document: Mapping[str, Any], where: str) -> Results:
 
     Raises `RunError` with the place of the first error.
     """
-    parts = {key: value for key, value in document.items() if key not in ("schema", "scores")}
+    parts = {key: value for key, value in document.items() if key not in ("schema", "scores", "paper")}
     run = {key: parts.pop(key) for key in RunFacts.__dataclass_fields__ if key in parts}
     results = decode(Results, {"run": run, **parts}, where)
     check_options(results.run.options, where)

@@ -4,11 +4,13 @@
 
 `data.csv` has the columns `frame_id,dx,dy,dz,angle,x,y,z,qx,qy,qz,qw`: frames count from 1, positions in metres in the
 world, quaternions scalar last. `dx..angle` are not velocities: they are the displacement over the next three samples,
-with reversed sign, in a frame along the direction of movement, and the yaw error towards it. We write, with p the
-position, yaw the heading and s = min(t + 3, last):
+with reversed sign, in a frame along the direction of movement, and the yaw error towards the right gate from there. We
+write, with p the position, yaw the heading, g the place of the right gate and s = min(t + 3, last):
 
     d = p[s] - p[t]        dx = -hypot(d.x, d.y)        dy = 0        dz = -d.z
-    angle = wrap(atan2(d.y, d.x) - yaw[t]), or 0 where the drone moves less than a millimetre sideways
+    angle = wrap(atan2(g.y - p[s].y, g.x - p[s].x) - yaw[t]), or 0 where no gate is right
+
+Flights are found at any depth; the nearest folder above one with a published name is its type.
 
 `setup.json` is the task in the published layout. Our own exports add the key `flight` with everything else, so that
 they are read back exactly (including pictures, if they were JPEG). For third-party flights, velocities are rebuilt by
@@ -18,7 +20,7 @@ differences. The layout has no place for frames of a camera that looks down: the
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -42,19 +44,22 @@ from cognitivedrone.errors import DataError, TaskError
 from cognitivedrone.files import create, own_files, read_regular, reason_of, safe_name
 from cognitivedrone.files.texts import decoded, read_table
 from cognitivedrone.frames import world_to_heading, wrap_angle, yaw_of
+from cognitivedrone.layout import GATE_XY
 from cognitivedrone.pictures import MAX_FRAME_BYTES
 from cognitivedrone.tasks import task_from_json, task_to_json
-from cognitivedrone.tasks.format import PUBLISHED_TYPES
-from cognitivedrone.types import CONTROL_HZ, FloatArray, Quaternions
+from cognitivedrone.tasks.published import ARCHIVES, SETUP_FILE, TYPES, type_of
+from cognitivedrone.types import CONTROL_HZ, FloatArray, Quaternions, Task
+from cognitivedrone.world.geometry import PAD_XY
 
 COLUMNS = ("frame_id", "dx", "dy", "dz", "angle", "x", "y", "z", "qx", "qy", "qz", "qw")
 LOOKAHEAD = 3
 """Samples that a published action spans."""
 FRAME_LAG = 1
 """Samples by which published pictures lag behind their pose."""
-STILL_M = 1e-3
+AGREES = 1e-6
+"""Largest difference of a written action from that of its poses, m and rad, for which they agree."""
 
-_TYPES = {family: name for name, (_, family) in PUBLISHED_TYPES.items()}
+_TYPES = {each.family: each.folder for each in TYPES.values()} | {"math": "Math_prompt"}
 _IN_CSV = ("position", "quaternion")
 
 
@@ -77,14 +82,31 @@ def export(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
     return count
 
 
-def published_actions(position: NDArray[np.float64], quaternion: Quaternions) -> NDArray[np.float64]:
-    """(T, 4) published dx, dy, dz in m and angle in rad for positions (T or T + 1, 3) and quaternions (T, 4)."""
+def place_of(task: Task) -> tuple[float, float] | None:
+    """X and y of a task's right gate or pad, m; none if no gate is right."""
+    if task.target is None:
+        return None
+    if task.layout is not None:
+        return task.layout[task.target].x, task.layout[task.target].y
+    x, y = (PAD_XY if task.landing else GATE_XY)[task.target].tolist()
+    return x, y
+
+
+def published_actions(
+    position: NDArray[np.float64], quaternion: Quaternions, goal: tuple[float, float] | None
+) -> NDArray[np.float64]:
+    """(T, 4) published dx, dy, dz in m and angle in rad for positions (T or T + 1, 3) and quaternions (T, 4).
+
+    `goal` is the place of the right gate, m (`place_of`).
+    """
     steps = np.arange(len(quaternion))
     ahead = np.minimum(steps + LOOKAHEAD, len(position) - 1)
     displacement = position[ahead] - position[steps]
     distance = np.hypot(displacement[:, 0], displacement[:, 1])
-    track_runner = np.arctan2(displacement[:, 1], displacement[:, 0])
-    angle = np.where(distance < STILL_M, 0.0, wrap_angle(track_runner - yaw_of(quaternion)))
+    angle = np.zeros_like(distance)
+    if goal is not None:
+        x, y = (np.array(goal) - position[ahead, :2]).T
+        angle = wrap_angle(np.arctan2(y, x) - yaw_of(quaternion))
     return np.column_stack([-distance, np.zeros_like(distance), -displacement[:, 2], angle])
 
 
@@ -104,18 +126,88 @@ def read(path: Path, *, frame_lag: int = FRAME_LAG) -> Iterator[tuple[Split, Epi
 
     Raises `DataError` with the file and the row or frame that is missing or broken.
     """
-    setups = own_files(path, "*/*/setup.json") or own_files(path, "*/setup.json")
-    if not setups:
-        raise DataError(f"{path}: no <Type>/<episode>/setup.json below it; is this a published data set?")
-    for index, setup_path in enumerate(setups):
-        folder = setup_path.parent
+    for number, setup_path in enumerate(setups_of(path)):
+        yield split_at(setup_path), flight_at(setup_path, number, frame_lag)
+
+
+def flight_at(setup_path: Path, number: int, frame_lag: int) -> Episode:
+    """The flight of a `setup.json`, numbered; see `read`."""
+    folder = setup_path.parent
+    setup, rows = read_json(setup_path), _read_rows(folder / "data.csv")
+    images = tuple(_read_frame(folder, frame) for frame in range(1, len(rows) + 1))
+    if isinstance(setup, dict) and "flight" in setup:
+        return _own_flight(setup, rows, images, setup_path)[1]
+    return _foreign_flight(task_at(setup_path, setup), rows, images, number, folder, frame_lag)
+
+
+def split_at(setup_path: Path) -> Split:
+    """The split that our own export names, else `train`."""
+    setup = read_json(setup_path)
+    flight = setup.get("flight") if isinstance(setup, dict) else None
+    return "val" if isinstance(flight, dict) and flight.get("split") == "val" else "train"
+
+
+def setups_of(path: Path) -> list[Path]:
+    """The `setup.json` of every flight below a folder, sorted; raises `DataError` if there is none."""
+    if setups := own_files(path, f"**/{SETUP_FILE}") if path.is_dir() else []:
+        return setups
+    if path.suffix.lower() in ARCHIVES:
+        raise DataError(f"{path} is an archive; unpack it and give the folder")
+    raise DataError(f"{path}: no <Type>/<episode>/{SETUP_FILE} below it; is this a published data set?")
+
+
+def agreement(path: Path) -> str:
+    """What the actions of the flights below a folder are worth, in a sentence: whether they follow from their poses.
+
+    Flights whose angle points to another gate than the task's are named.
+    """
+    largest = np.zeros(4)
+    disagreeing, elsewhere, count = list[str](), list[str](), 0
+    for setup_path in setups_of(path):
         setup = read_json(setup_path)
-        rows = _read_rows(folder / "data.csv")
-        images = tuple(_read_frame(folder, number) for number in range(1, len(rows) + 1))
-        if isinstance(setup, dict) and "flight" in setup:
-            yield _own_flight(setup, rows, images, setup_path)
+        task, rows = task_at(setup_path, setup), _read_rows(setup_path.parent / "data.csv")
+        known = rows[: len(rows) - LOOKAHEAD]
+        if not len(known):
+            continue
+        count += 1
+        position, quaternion = _pose(rows)
+
+        def difference(goal: tuple[float, float] | None, of: tuple[Any, ...] = (position, quaternion, known)) -> Any:
+            made = published_actions(of[0], of[1], goal)[: len(of[2])] - of[2][:, 1:5]
+            made[:, 3] = wrap_angle(made[:, 3])
+            return np.abs(made).max(axis=0)
+
+        goal = place_of(task)
+        far = difference(goal)
+        others = [gate for gate in range(3) if gate != task.target and not task.landing and task.layout is None]
+        other = [gate + 1 for gate in others if difference(tuple(GATE_XY[gate].tolist()))[3] <= AGREES]
+        if other and far[3] > AGREES:
+            elsewhere.append(f"{setup_path.parent} (its angle points to gate {other[0]})")
+        elif far.max() > AGREES:
+            disagreeing.append(str(setup_path.parent))
         else:
-            yield "train", _foreign_flight(setup, rows, images, index, folder, frame_lag)
+            largest = np.maximum(largest, far)
+    agreeing = count - len(disagreeing) - len(elsewhere)
+    text = f"in {agreeing} of {count} flights dx, dy, dz and angle follow from the poses, to {largest.max():.1g}"
+    if elsewhere:
+        text += f"; another gate than that of its {SETUP_FILE}, which was taken, is flown at in {_some(elsewhere)}"
+    if disagreeing:
+        text += f"; they do not in {_some(disagreeing)}: the poses were taken"
+    return text
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+
+
+def task_at(where: Path, setup: object = None) -> Task:
+    """The task of a flight, of its `setup.json` or of what was read of that; raises `DataError`."""
+    setup = read_json(where) if setup is None else setup
+    name, known = type_of(where.resolve())
+    try:
+        return task_from_json(setup, where=str(where), kind=known or name, default_id=f"{name}/{where.parent.name}")
+    except TaskError as error:
+        raise DataError(str(error)) from None
 
 
 def _write_flight(folder: Path, split: Split, episode: Episode) -> None:
@@ -123,7 +215,7 @@ def _write_flight(folder: Path, split: Split, episode: Episode) -> None:
     flight |= {name: getattr(episode, name).tolist() for name in STEP_ARRAYS if name not in _IN_CSV}
     write_json(folder / "setup.json", task_to_json(episode.task) | {"flight": flight})
     path = np.vstack([episode.position, episode.final_position])
-    actions = published_actions(path, episode.quaternion)
+    actions = published_actions(path, episode.quaternion, place_of(episode.task))
     table = np.column_stack([actions, episode.position, episode.quaternion[:, [1, 2, 3, 0]]])
     file = StringIO(newline="")
     writer = csv.writer(file, lineterminator="\n")
@@ -198,13 +290,8 @@ def _own_flight(
 
 
 def _foreign_flight(
-    setup: object, rows: NDArray[np.float64], images: tuple[bytes, ...], index: int, folder: Path, frame_lag: int
+    task: Task, rows: NDArray[np.float64], images: tuple[bytes, ...], index: int, folder: Path, frame_lag: int
 ) -> Episode:
-    kind = folder.resolve().parent.name
-    try:
-        task = task_from_json(setup, where=str(folder / "setup.json"), kind=kind, default_id=f"{kind}/{folder.name}")
-    except TaskError as error:
-        raise DataError(str(error)) from None
     length = len(rows) - max(1, frame_lag)
     if length < 1:
         raise DataError(f"{folder / 'data.csv'}: {len(rows)} rows are too few for a step; velocities are differences")

@@ -21,7 +21,7 @@ from torch import Tensor
 from cognitivedrone.models.openvla.actions import from_tokens
 from cognitivedrone.models.openvla.config import ACTION_SIZE, PADDING, PATCHES
 from cognitivedrone.models.openvla.memory import Graph, KeyValues
-from cognitivedrone.models.openvla.network import OpenVlaNetwork
+from cognitivedrone.models.openvla.network import IGNORED, OpenVlaNetwork
 from cognitivedrone.models.openvla.prepare import ImagePreparation
 from cognitivedrone.types import FloatArray
 
@@ -52,6 +52,7 @@ class Autoregressive:
     """One action, token by token, by greedy decoding."""
 
     def __init__(self, network: OpenVlaNetwork, preparation: ImagePreparation | None = None) -> None:
+        self._network = network
         self._runner = Runner(lambda *inputs: greedy_tokens(network, *inputs), network, preparation)
 
     def __call__(self, pixel_values: Images, input_ids: Sequence[int]) -> FloatArray:
@@ -61,6 +62,16 @@ class Autoregressive:
     def tokens(self, pixel_values: Images, input_ids: Sequence[int]) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
         """Ids (4,) of the generated tokens."""
         answer: np.ndarray[tuple[int], np.dtype[np.int64]] = self._runner(pixel_values[None], [input_ids])[0].numpy()
+        return answer
+
+    def log_probabilities(self, pixel_values: Images, input_ids: Sequence[int], tokens: Sequence[int]) -> FloatArray:
+        """(4, vocabulary) of the tokens (4,) of a known answer, each given those before it."""
+        with torch.inference_mode():
+            images = self._runner.prepared(torch.as_tensor(pixel_values[None]))
+            ids = torch.tensor([[*input_ids, *tokens]], device=images.device)
+            labels = torch.tensor([[*[IGNORED] * len(input_ids), *tokens]], device=images.device)
+            found = self._network(ids, images, labels=labels).logits.float().log_softmax(-1)
+        answer: FloatArray = found.cpu().numpy()
         return answer
 
     def together(self, pixel_values: Images, input_ids: Sequence[Sequence[int]]) -> FloatArray:
@@ -158,10 +169,15 @@ class Runner:
 
     def step(self, images: Tensor, ids: Tensor, count: Tensor) -> Tensor:
         """From images (B, 6, 224, 224), or squares (B, 224, 224, 3) uint8, to answers."""
+        return self._network_step(self.prepared(images), ids, count)
+
+    def prepared(self, images: Tensor) -> Tensor:
+        """(B, 6, 224, 224) as the network wants them, on its device, of such images or of squares."""
+        images = images.to(self._weight.device)
         if images.dtype == torch.uint8:
             pixels = images.permute(0, 3, 1, 2).float().repeat(1, 2, 1, 1) / self._brightest
             images = (pixels - self._means) / self._deviations
-        return self._network_step(images.to(self._weight.dtype), ids, count)
+        return images.to(self._weight.dtype)
 
     def _replay(self, inputs: tuple[Tensor, Tensor, Tensor], padded: int, stream: torch.cuda.Stream) -> Tensor:
         rows = len(inputs[0])

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cognitivedrone.errors import LabelError, TrainingError
-from cognitivedrone.files import own_files, read_regular
+from cognitivedrone.files import read_regular
 from cognitivedrone.files.texts import folded
 from cognitivedrone.labels import load_pack
 from cognitivedrone.labels.folder import FolderPack
@@ -23,6 +23,7 @@ from cognitivedrone.models.words.text import NUMBER_WORDS
 from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.format import MAX_FILE_BYTES, read_tasks
+from cognitivedrone.tasks.published import task_files
 from cognitivedrone.tasks.vocabulary import LETTERS, LOGOS
 from cognitivedrone.training.perception.attributes import concept_name
 from cognitivedrone.training.teach.facts import facts_file, stated
@@ -231,6 +232,4 @@ def _shown(pack: FolderPack, tasks: tuple[Task, ...]) -> tuple[Task, ...]:
 
 
 def _task_files(tasks: Path | None) -> list[Path]:
-    if tasks is None:
-        return []
-    return own_files(tasks, "*.json") if tasks.is_dir() else [tasks]
+    return [] if tasks is None else task_files(tasks, training=True)
