@@ -1,4 +1,3 @@
-import importlib
 import json
 import shutil
 from pathlib import Path
@@ -10,11 +9,9 @@ import pytest
 from factory import make_episode
 from ruamel.yaml import YAML
 
-from cognitivedrone.collect.importing import import_set
 from cognitivedrone.data.episode import Episode, Split
 from cognitivedrone.data.formats import exchange, export, import_, lerobot
 from cognitivedrone.data.formats.lerobot_stats import image_stats, number_stats
-from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError
 
 FLIGHTS: list[tuple[Split, Episode]] = [
@@ -216,37 +213,3 @@ def test_other_versions_are_refused(copied):
         DataError, match=r"info\.json: layout v2\.1 cannot be read, only v3; convert it first with LeRobot's"
     ):
         list(import_(copied, "lerobot"))
-
-
-def test_data_of_others_is_told_apart(copied):
-    path = copied / "meta/episodes/chunk-000/file-000.parquet"
-    pq.write_table(pq.read_table(path).drop_columns(["record"]), path)
-    with pytest.raises(
-        DataError, match=r"no export of this package.*read it by a function of your own that maps its col"
-    ):
-        list(import_(copied, "lerobot"))
-
-
-def test_data_of_others_are_read_by_the_example_with_a_map_of_columns(copied, tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(Path(__file__).parents[2] / "examples")
-    for name, renamed in (
-        ("meta/episodes/chunk-000/file-000.parquet", {}),
-        (DATA, {lerobot.IMAGE_KEY: "camera"}),
-        (VAL, {lerobot.IMAGE_KEY: "camera"}),
-    ):
-        table = pq.read_table(copied / name)
-        kept = [c for c in table.column_names if c not in ("record", "sent", "position", "quaternion", "directive")]
-        pq.write_table(table.select(kept).rename_columns([renamed.get(c, c) for c in kept]), copied / name)
-    with pytest.raises(DataError, match=r"has no column 'observation\.images\.top', only camera, .*; map COLUMNS"):
-        list(import_(copied, "foreign_lerobot:read"))
-    foreign_lerobot = importlib.import_module("foreign_lerobot")
-    monkeypatch.setitem(foreign_lerobot.COLUMNS, "image", "camera")
-    assert import_set(copied, "foreign_lerobot:read", tmp_path / "store") == len(FLIGHTS)
-    store = Store.open(tmp_path / "store")
-    by_order = sorted(FLIGHTS, key=lambda flight: flight[0])  # as exported: val comes last
-    for number, (_, flight) in enumerate(by_order):
-        episode = store.episode(number)
-        assert episode.task.instruction == flight.task.instruction
-        assert episode.images == flight.images
-        np.testing.assert_array_equal(episode.action, flight.action)
-        np.testing.assert_array_equal(episode.state, flight.state)

@@ -12,6 +12,7 @@ import pytest
 
 from cognitivedrone.errors import MissingExtra, NonFiniteAction, PolicyError
 from cognitivedrone.models.openvla import checkpoint as checkpoints
+from cognitivedrone.models.openvla.actions import ActionStatistics
 from cognitivedrone.policies import make_policy, openvla
 from cognitivedrone.policies.openvla import OpenVla
 from cognitivedrone.registry import make
@@ -248,3 +249,50 @@ def test_a_pass_that_fails_fails_for_every_flight_in_it(folder, monkeypatch):
     monkeypatch.setattr(policy._decode, "together", fail)
     answers = policy.act_batch([policy.fork(), policy.fork()], [seen(), seen()])
     assert [str(answer) for answer in answers] == ["out of memory"] * 2
+
+
+RACING = ActionStatistics(tuple(-1.0 for _ in range(7)), tuple(1.0 + n for n in range(7)), (True,) * 7)
+
+
+@pytest.fixture(scope="module")
+def racing(tmp_path_factory):
+    """A checkpoint with the form of the published racing model: seven numbers, several data sets, words elsewhere."""
+    from openvla_files import write_checkpoint
+
+    folder = write_checkpoint(tmp_path_factory.mktemp("racing") / "weights")
+    config = json.loads((folder / "config.json").read_text())
+    config["norm_stats"] = {name: {"action": RACING.to_json()} for name in ("drone_set3", "drone_set4")}
+    (folder / "config.json").write_text(json.dumps(config))
+    (folder / "dataset_statistics.json").unlink(missing_ok=True)
+    words = folder.parent / "processor"
+    words.mkdir()
+    (folder / "tokenizer.json").rename(words / "tokenizer.json")
+    return folder
+
+
+def test_four_of_seven_numbers_fly(racing):
+    """Each is scaled, and those in between only steer the numbers after them."""
+    named = {"unnorm_key": "drone_set4", "tokenizer": racing.parent / "processor", "device": "cpu"}
+    four = OpenVla(racing, dims="0+1+2+5", scale="2+1+0.5+1", **named)
+    reordered = OpenVla(racing, dims="5+2+1+0", **named)
+    for policy in (four, reordered):
+        policy.reset(EpisodeContext(INSTRUCTION))
+    found, others = four.act(seen()), reordered.act(seen())
+    assert found.shape == (1, 4)
+    np.testing.assert_allclose(found[0] / [2, 1, 0.5, 1], others[0, [3, 2, 1, 0]], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({}, r"statistics of 2 data sets, none with the 4 numbers .* drone_set3 \(7\), drone_set4 \(7\)"),
+        ({"unnorm_key": "drone_set4"}, r"'drone_set4' have 7 numbers; .* such as dims=0\+1\+2\+5"),
+        ({"dims": "0+1+2+7", "unnorm_key": "drone_set3"}, "have 7 numbers"),
+        ({"dims": "0+1+2", "unnorm_key": "drone_set3"}, "is not 4 numbers"),
+        ({"dims": "a+b", "unnorm_key": "drone_set3"}, "is not 4 numbers"),
+        ({"dims": "0+1+2+5", "unnorm_key": "drone_set9"}, r"there are drone_set3 \(7\), drone_set4 \(7\)"),
+    ],
+)
+def test_a_wrong_mixture_says_which_keys_and_widths_there_are(racing, options, says):
+    with pytest.raises(PolicyError, match=says):
+        OpenVla(racing, tokenizer=racing.parent / "processor", device="cpu", **options)

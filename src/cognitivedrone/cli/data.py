@@ -100,17 +100,24 @@ def export(folder: tyro.conf.Positional[Path], to: str, out: Path) -> None:
         print(f"frames of the camera that looks down are left out: {to} has no place for them")  # noqa: T201
 
 
-def import_(source: tyro.conf.Positional[Path], form: Annotated[str, tyro.conf.arg(name="from")], out: Path) -> None:
+def import_(
+    source: tyro.conf.Positional[Path],
+    form: Annotated[str, tyro.conf.arg(name="from")],
+    out: Path,
+    columns: str = "",
+) -> None:
     """Import a data set of another format into a new store.
 
     Args:
         source: The data set to read.
         form: A format, such as rlds, lerobot or published, or your own as module:attribute.
         out: New folder for the store.
+        columns: With rlds or lerobot data of others: which numbers of a step are vx, vy, vz, yaw rate, and velocity,
+            height, yaw rate, such as 'action=0+1+2+5 state=0+1+2+3+4'.
     """
     from cognitivedrone.collect.importing import import_set
 
-    print(visible(f"{out}: {import_set(source, form, out)} episodes"))  # noqa: T201
+    print(visible(f"{out}: {import_set(source, form, out, columns)} episodes"))  # noqa: T201
     if form == "published":
         from cognitivedrone.data.formats.published import agreement
 

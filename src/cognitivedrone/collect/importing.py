@@ -15,17 +15,17 @@ from cognitivedrone.errors import DataError
 from cognitivedrone.files.locks import sole_writer
 
 
-def import_set(source: Path, form: str, out: Path) -> int:
+def import_set(source: Path, form: str, out: Path, columns: str = "") -> int:
     """Read the data set `source` of the format `form` into a new store `out`; returns the number of episodes.
 
-    Episodes are renumbered in order of arrival, and splits are drawn anew. Raises `DataError` with the name of the file
-    that is missing or broken; the store is then not readable.
+    `columns` maps the numbers of others' data sets. Episodes are renumbered in order of arrival, and splits are drawn
+    anew. Raises `DataError` with the name of the file that is missing or broken; the store is then not readable.
     """
     if not source.exists():
         raise DataError(f"{source}: there is no such file or folder")
     name = f"{form}:{source.resolve().name}"
     recipe = {"name": "imported", "format": form, "source": source.resolve().name}
-    flights = import_(source, form)
+    flights = import_(source, form, columns)
     taken = 0
     with sole_writer(out, DataError, WRITING):
         digest = hashlib.sha256(name.encode()).hexdigest()

@@ -16,7 +16,7 @@ from cognitivedrone.interfaces import Policy, attempt
 from cognitivedrone.models.card import EMULATED, in_memory, shortage, warn, why_none
 from cognitivedrone.models.compiling import compiled_or_plain
 from cognitivedrone.models.openvla import checkpoint as checkpoints
-from cognitivedrone.models.openvla.actions import to_tokens
+from cognitivedrone.models.openvla.actions import Flying, to_tokens
 from cognitivedrone.models.openvla.checkpoint import Checkpoint, DecoderName, Quantisation
 from cognitivedrone.models.openvla.config import IMAGE
 from cognitivedrone.models.openvla.prepare import BEGIN, prompt_ids, read_encoder
@@ -43,6 +43,8 @@ class Options:
     device: str | None = None
     """None: a GPU if there is one."""
     unnorm_key: str | None = None
+    flying: Flying | None = None
+    """Which of the checkpoint's numbers fly; None: it has a drone's four."""
     stack: int = 1
     """Largest number of observations in one pass of the network, where several flights are flown at once."""
     compiled: bool | None = None
@@ -52,7 +54,9 @@ class Options:
 class OpenVla(Policy):
     """Flies the OpenVLA checkpoint in `folder`.
 
-    `device` defaults to a GPU if there is one; `unnorm_key` selects the action statistics if there are several.
+    `device` defaults to a GPU if there is one; `unnorm_key` selects the action statistics if there are several. Where
+    an action has more numbers than a drone's, `dims` says which fly (`0+1+2+5`: vx, vy, vz, yaw rate), and `scale` by
+    what they are multiplied; `tokenizer` is its folder, if that is not the weights'.
 
     With `stack`, up to so many flights go through the network together where there are several: faster, but rounded
     differently. Every decision depends only on its observation. `compiled` compiles the network's blocks before
@@ -72,13 +76,19 @@ class OpenVla(Policy):
         quant: Quantisation = "none",
         device: Literal["cuda", "cpu"] | None = None,
         unnorm_key: str | None = None,
+        dims: str | None = None,
+        scale: str | None = None,
+        tokenizer: Path | None = None,
         stack: int = 1,
         compiled: bool | None = None,
     ) -> None:
         if stack < 1:
             raise PluginError(f"policy 'openvla': stack is {stack}; it must be at least 1")
-        self.options = Options(Path(folder), decoder, quant, device, unnorm_key, stack, compiled)
-        self.checkpoint = checkpoints.inspect(self.options.folder, self.options.unnorm_key)
+        flying = None if dims is None and scale is None else Flying.parse(dims, scale)
+        self.options = Options(Path(folder), decoder, quant, device, unnorm_key, flying, stack, compiled)
+        self.checkpoint = checkpoints.inspect(
+            self.options.folder, self.options.unnorm_key, flying=flying, tokenizer=tokenizer and Path(tokenizer)
+        )
         if self.options.decoder == "parallel" and self.checkpoint.head is None:
             raise ModelError(
                 f"{self.options.folder} has no head for decoder=parallel; use decoder=ar, or fine-tune it in chunks"
@@ -120,8 +130,8 @@ class OpenVla(Policy):
 
     @property
     def has_tokens(self) -> bool:
-        """Whether its actions are tokens; those of the parallel decoder are numbers."""
-        return self.options.decoder == "ar"
+        """Whether its actions are tokens of a drone's four numbers; those of the parallel decoder are numbers."""
+        return self.options.decoder == "ar" and self.options.flying is None
 
     def token_answer(
         self, observation: Observation, action: FloatArray
@@ -168,7 +178,8 @@ class OpenVla(Policy):
             raise answer
         if not np.isfinite(answer).all():
             raise NonFiniteAction(f"the network answered {answer[0].tolist()} to {self._text!r}")
-        return self.checkpoint.statistics.flown(answer).astype(np.float32)
+        chunk: ActionChunk = self.checkpoint.flown(answer).astype(np.float32)
+        return chunk
 
     def _listen(self, text: str) -> None:
         self._ids = prompt_ids(self._encode, text)
@@ -227,7 +238,13 @@ def warmed_up(
     from cognitivedrone.models.openvla.decode import Autoregressive, Parallel
 
     def made(shown: str) -> Decoder:
-        decoder = (Parallel if name == "parallel" else Autoregressive)(network, checkpoint.preparation)
+        width = len(checkpoint.statistics.q01)
+        parallel = name == "parallel"
+        decoder: Decoder = (
+            Parallel(network, checkpoint.preparation)
+            if parallel
+            else Autoregressive(network, checkpoint.preparation, width)
+        )
         for length in counted(lengths, shown, len(lengths), show=compiled):
             decoder(np.zeros((IMAGE, IMAGE, 3), np.uint8), [BEGIN] * length)
         return decoder

@@ -68,13 +68,13 @@ def test_the_only_statistics_of_a_drone_are_taken():
         ({"b": DRONE, "arm": ARM, "a": DRONE}, None, "2 data sets of drones; add unnorm_key=NAME, one of a, b"),
         ({"arm": ARM, "leg": ARM}, None, "2 data sets, none with the 4 numbers of a drone's action"),
         ({"cognitive_drone": DRONE}, "cognitive_dron", "did you mean 'cognitive_drone'"),
-        ({"arm": ARM}, None, "statistics 'arm': q01 has 7 numbers; a drone's action has 4"),
+        ({"arm": ARM}, None, "statistics 'arm' have 7 numbers; a drone's action has 4"),
         ({"drone": {"action": {"q01": [0, 0, 0, 0]}}}, None, "lack readable q01 and q99"),
         ({"drone": {"action": {"q01": [0, 0, 0, "x"], "q99": [1] * 4}}}, None, "lack readable"),
         ({"drone": 3}, None, "lack readable"),
         ({"drone": {"action": {"q01": [1] * 4, "q99": [0] * 4}}}, None, "must be finite, q01 <= q99"),
         ({"drone": {"action": {"q01": [0] * 4, "q99": [float("nan")] * 4}}}, None, "must be finite"),
-        ({"drone": {"action": {"q01": [0] * 4, "q99": [1] * 4, "mask": [True]}}}, None, "mask has 1 numbers"),
+        ({"drone": {"action": {"q01": [0] * 4, "q99": [1] * 4, "mask": [True]}}}, None, "have 4, 4 and 1 numbers"),
     ],
 )
 def test_statistics_that_do_not_do(stats, key, says):

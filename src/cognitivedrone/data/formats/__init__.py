@@ -31,6 +31,8 @@ IMPORTS: dict[str, str] = _named("(read)()")
 """Readers by format name: `(path) -> iterator of (split, episode)`. `lerobot` reads images and video."""
 
 
+COLUMNED = frozenset({"rlds", "lerobot"})
+"""Readers that take `columns`."""
 FRONT_ONLY = frozenset({"published"})
 """Formats that have no place for the camera that looks down, and leave its frames out."""
 
@@ -45,13 +47,16 @@ def export(episodes: Iterable[tuple[Split, Episode]], to: str, out: Path) -> int
     return cast(int, writer(episodes, out))
 
 
-def import_(path: Path, source: str) -> Iterator[tuple[Split, Episode]]:
+def import_(path: Path, source: str, columns: str = "") -> Iterator[tuple[Split, Episode]]:
     """The episodes of a data set in the format `source`, a key of `IMPORTS` or the user's "module:attribute".
 
+    `columns` maps the numbers of others' data sets, in formats that take that (`foreign.Columns`).
     Raises `DataError` for an unknown format, and while reading for anything missing or broken, with the file's name.
     """
     reader = _function("import format", source, IMPORTS)
-    return cast(Iterator[tuple[Split, Episode]], reader(path))
+    if columns and "columns" not in inspect.signature(reader).parameters:
+        raise DataError(f"--columns is for {', '.join(sorted(COLUMNED))}, not {source!r}; leave it out")
+    return cast(Iterator[tuple[Split, Episode]], reader(path, columns=columns) if columns else reader(path))
 
 
 def _function(kind: str, name: str, table: Mapping[str, str]) -> Callable[..., object]:

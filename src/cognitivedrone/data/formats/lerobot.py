@@ -17,6 +17,7 @@ schema, and the card (README.md) says which files are data.
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Collection, Iterable, Iterator
 from itertools import islice
 from pathlib import Path
@@ -41,6 +42,7 @@ from cognitivedrone.data.formats.exchange import (
     same_cameras,
     write_json,
 )
+from cognitivedrone.data.formats.foreign import MISSING, Columns, foreign_episode
 from cognitivedrone.data.formats.lerobot_columns import (
     DOWN_KEY,
     FLOATS,
@@ -82,7 +84,7 @@ _OLDER = (
     f" package, {_OWN}"
 )
 _STEP = {IMAGE_KEY, DOWN_KEY, *FLOATS, "frame_index", "episode_index"}
-_ROW = {"record", "episode_index", "length", "data/chunk_index", "data/file_index"}
+_ROW = {"record", "tasks", "episode_index", "length", "data/chunk_index", "data/file_index"}
 """Columns that are read."""
 
 
@@ -287,12 +289,14 @@ def _task_table(tasks: list[str]) -> pa.Table:
     return table.replace_schema_metadata({"pandas": json.dumps(pandas)})
 
 
-def read(path: Path) -> Iterator[tuple[Split, Episode]]:
-    """The episodes of an export, in order; one data file is in memory at a time. Frames of videos become JPEG.
+def read(path: Path, *, columns: str = "") -> Iterator[tuple[Split, Episode]]:
+    """The episodes of a data set, in order; one data file is in memory at a time. Frames of videos become JPEG.
 
-    Raises `DataError` with the file's name for anything missing or broken, for another version of the layout, and for
-    third-party data sets, which lack the tasks and conditions.
+    Those of an export of this package are the same as before; of others, what lacks is filled in, and a warning says
+    so. `columns` says which numbers of others' actions and states are ours (`foreign.Columns`). Raises `DataError` with
+    the file's name for anything missing or broken, and for another version of the layout.
     """
+    chosen = Columns.parse(columns)
     info_path = path / "meta/info.json"
     info = read_json(info_path)
     if not isinstance(info, dict):
@@ -303,27 +307,28 @@ def read(path: Path) -> Iterator[tuple[Split, Episode]]:
             f"{info_path}: layout {version} cannot be read, only v3; {_OLDER if version[:2] in _OLD else _OWN}"
         )
     features = info["features"] if isinstance(info.get("features"), dict) else {}
-    cameras = [IMAGE_KEY, *({DOWN_KEY} & features.keys())]
-    image = features.get(IMAGE_KEY)
+    keys = [IMAGE_KEY, *sorted(name for name in features if name.startswith("observation.image"))]
+    front = next((key for key in keys if key in features), IMAGE_KEY)
+    cameras = [front, *({DOWN_KEY} & features.keys())]
+    image = features.get(front)
     is_video = isinstance(image, dict) and image.get("dtype") == "video"
     rows = _read_table(path / EPISODES_PATH, _ROW).to_pylist()
-    if rows and "record" not in rows[0]:
-        raise DataError(
-            f"{path / EPISODES_PATH}: has no column 'record', so it is no export of this package, and says nothing of"
-            f" the gates and the conditions of its flights; {_OWN}"
-        )
+    foreign = bool(rows) and "record" not in rows[0]
+    if foreign:
+        warnings.warn(f"{path}: is no export of this package: {MISSING}", stacklevel=1)
     opened: Path | None = None
     for row in rows:
         place = _place_of(row, path / EPISODES_PATH)
         data_path = path / DATA_PATH.format(**place)
         if data_path != opened:
-            table, opened = _read_table(data_path, _STEP), data_path
+            table, opened = _read_table(data_path, {*_STEP, front}), data_path
             videos = [path / VIDEO_PATH.format(video_key=key, **place) for key in cameras if is_video]
             frames = [read_frames(video) for video in videos]
         try:
-            number, length, record = row["episode_index"], row["length"], parse_json(row["record"])
+            number, length = row["episode_index"], row["length"]
+            record = None if foreign else parse_json(row["record"])
             steps = table.filter(pc.equal(table["episode_index"], number)).sort_by("frame_index")
-            arrays = _step_arrays(steps)
+            arrays = {} if foreign else _step_arrays(steps)
         except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, pa.ArrowException) as error:
             raise DataError(f"{data_path}: not an export of this package ({brief(error)}); export it again") from None
         where = f"{data_path}, episode {number}"
@@ -335,7 +340,20 @@ def read(path: Path) -> Iterator[tuple[Split, Episode]]:
             if len(seen[-1]) != len(steps):
                 raise DataError(f"{video}: ends within episode {number}; copy or export it again")
         images, *down = seen
-        yield episode_from(record, images, arrays, where, *down)
+        if foreign:
+            yield "train", _foreign(steps, images, row, chosen, where)
+        else:
+            yield episode_from(record, images, arrays, where, *down)
+
+
+def _foreign(steps: pa.Table, images: tuple[bytes, ...], row: dict[str, Any], columns: Columns, where: str) -> Episode:
+    if "action" not in steps.column_names:
+        raise DataError(f"{where}: has no column 'action'; {_OWN}")
+    action = columns.of("action", _matrix(steps, "action"), where)
+    there = "observation.state" in steps.column_names
+    state = columns.state(_matrix(steps, "observation.state"), where) if there else None
+    sentences = row.get("tasks") or [""]
+    return foreign_episode(row["episode_index"], images, str(sentences[0]), action, where, state=state)
 
 
 def _images(steps: pa.Table, key: str, where: str) -> tuple[bytes, ...]:
@@ -366,11 +384,12 @@ def _read_table(path: Path, columns: Collection[str]) -> pa.Table:
         raise DataError(f"{path}: not a whole parquet file ({brief(error)}); copy or export it again") from None
 
 
-def _step_arrays(steps: pa.Table) -> dict[str, NDArray[Any]]:
-    def matrix(name: str) -> NDArray[Any]:
-        flat = steps[name].combine_chunks().flatten()
-        return cast(NDArray[Any], flat.to_numpy(zero_copy_only=False).reshape(len(steps), -1))
+def _matrix(steps: pa.Table, name: str) -> NDArray[Any]:
+    flat = steps[name].combine_chunks().flatten()
+    return cast(NDArray[Any], flat.to_numpy(zero_copy_only=False).reshape(len(steps), -1))
 
-    state = matrix("observation.state")
-    arrays = {name: matrix(name) for name in ("action", "sent", "position", "quaternion")}
+
+def _step_arrays(steps: pa.Table) -> dict[str, NDArray[Any]]:
+    state = _matrix(steps, "observation.state")
+    arrays = {name: _matrix(steps, name) for name in ("action", "sent", "position", "quaternion")}
     return arrays | {"velocity": state[:, :3], "height": state[:, 3], "yaw_rate": state[:, 4]}

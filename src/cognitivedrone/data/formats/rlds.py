@@ -11,6 +11,8 @@ PNG, because TensorFlow does not decode WebP.
 from __future__ import annotations
 
 import json
+import re
+import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -31,6 +33,7 @@ from cognitivedrone.data.formats.exchange import (
     same_cameras,
     write_json,
 )
+from cognitivedrone.data.formats.foreign import MISSING, Columns, foreign_episode
 from cognitivedrone.data.formats.tfrecord import (
     FRAME_BYTES,
     HEAD_BYTES,
@@ -41,7 +44,7 @@ from cognitivedrone.data.formats.tfrecord import (
     write_record,
 )
 from cognitivedrone.errors import DataError
-from cognitivedrone.files import create
+from cognitivedrone.files import create, own_files
 from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.types import IMAGE_SIZE
 
@@ -53,6 +56,7 @@ INFO = "dataset_info.json"
 SHARD_BYTES = 256 * 2**20
 """A shard is closed once it exceeds this size."""
 
+_OF = re.compile(r"-of-(\d+)")
 _PREFIX = "tensorflow_datasets.core.features."
 _TEMPLATE = "{DATASET}-{SPLIT}.{FILEFORMAT}-{SHARD_X_OF_Y}"
 
@@ -97,14 +101,78 @@ class Record:
     episode: Episode
 
 
-def read(path: Path) -> Iterator[tuple[Split, Episode]]:
-    """The episodes of an export, train first; see `records`."""
+def read(path: Path, *, columns: str = "") -> Iterator[tuple[Split, Episode]]:
+    """The episodes of an export, train first; see `records`. Of other folders with shards, all that their records hold.
+
+    `columns` says which numbers of others' actions and states are ours (`foreign.Columns`). Raises `DataError` with the
+    shard and record that cannot be read; a warning says what is missing.
+    """
+    if not is_rlds(path):
+        return _others(path, Columns.parse(columns))
     return ((record.split, record.episode) for record in records(path))
 
 
 def is_rlds(path: Path) -> bool:
-    """Whether a folder is an RLDS data set, or contains one of ours; it may still be unreadable."""
-    return (_inner(path) / INFO).is_file()
+    """Whether a folder is an RLDS data set of ours, or contains one; it may still be unreadable."""
+    folder = _inner(path)
+    info = read_json(folder / INFO) if (folder / INFO).is_file() else None
+    return isinstance(info, dict) and info.get("name") in (NAME, None)
+
+
+def _others(path: Path, columns: Columns) -> Iterator[tuple[Split, Episode]]:
+    """The episodes of all shards below a folder: ours exactly, others with what their records lack filled in."""
+    shards = [shard for shard in own_files(path, "**/*.tfrecord*") if shard.is_file()]
+    if not shards:
+        raise DataError(f"{path}: holds no *.tfrecord shard, and no {INFO} of ours; give the folder of the shards")
+    absent = [name for name in (INFO, "features.json") if not own_files(path, f"**/{name}")]
+    expected = max((int(found[1]) for shard in shards if (found := _OF.search(shard.name))), default=len(shards))
+    lacks = [f"{' and '.join(absent)} {'is' if len(absent) == 1 else 'are'} missing"] if absent else []
+    lacks += [f"only {len(shards)} of {expected} shards are there"] if len(shards) < expected else []
+    foreign, number = False, 0
+    for shard in shards:
+        split: Split = "val" if re.search("val|test", shard.name.partition(".tfrecord")[0]) else "train"
+        for count, payload in enumerate(read_records(shard)):
+            where = f"{shard}, record {count}"
+            try:
+                features = decode_example(payload)
+            except ValueError as error:
+                raise DataError(f"{where}: not an episode ({brief(error)})") from None
+            if "episode_metadata/record" in features:
+                yield _episode_of(payload, where)
+            else:
+                foreign = True
+                yield split, _foreign(features, number, columns, where)
+            number += 1
+    notes = [*lacks, *([MISSING] if foreign else [])]
+    if notes:
+        warnings.warn(f"{path}: {number} episodes were read by their records; {'; '.join(notes)}", stacklevel=1)
+
+
+def _foreign(features: dict[str, Any], number: int, columns: Columns, where: str) -> Episode:
+    def text(*names: str) -> str:
+        found = next((features[name] for name in names if name in features and len(features[name])), [b""])
+        return bytes(found[0]).decode("utf-8", "replace")
+
+    cameras = ["steps/observation/image", *sorted(name for name in features if re.search("observation/.*image", name))]
+    images = next((features[name] for name in cameras if name in features), None)
+    if images is None or "steps/action" not in features:
+        there = ", ".join(sorted(features))[:200]
+        raise DataError(f"{where}: has no steps/observation/image or no steps/action; it has {there}")
+    try:
+        action = np.asarray(features["steps/action"], np.float32).reshape(len(images), -1)
+        state = np.asarray(features.get("steps/observation/state", ()), np.float32).reshape(len(images), -1)
+    except ValueError as error:
+        raise DataError(f"{where}: its numbers do not fit its {len(images)} frames ({brief(error)})") from None
+    return foreign_episode(
+        number,
+        images,
+        text("steps/language_instruction", "steps/observation/natural_language_instruction"),
+        columns.of("action", action, where),
+        where,
+        state=columns.state(state, where),
+        directive=text("steps/language_instruction_simple", "episode_metadata/directive"),
+        kind=text("episode_metadata/type"),
+    )
 
 
 def records(path: Path) -> Iterator[Record]:

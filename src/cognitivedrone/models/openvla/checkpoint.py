@@ -13,18 +13,19 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from cognitivedrone.errors import ModelError, import_extra
 from cognitivedrone.files import open_regular, read_regular
 from cognitivedrone.files.schema import check_form
-from cognitivedrone.models.openvla.actions import ActionStatistics, choose_statistics
+from cognitivedrone.models.openvla.actions import ActionStatistics, Flying, choose_statistics
 from cognitivedrone.models.openvla.config import Config, read_config
 from cognitivedrone.models.openvla.prepare import ImagePreparation, check_tokenizer, read_preparation
 from cognitivedrone.models.openvla.tensors import Shapes, check_tensors, head_tensors, unused_tensors, used_tensors
 from cognitivedrone.text.json_text import parse_json
+from cognitivedrone.types import Commands, FloatArray
 
 Quantisation = Literal["none", "int8", "int4"]
 DecoderName = Literal["ar", "parallel"]
@@ -75,13 +76,26 @@ class Checkpoint:
     statistics: ActionStatistics
     preparation: ImagePreparation
     tokenizer: Path
+    flying: Flying = field(default_factory=Flying)
+    """Which numbers of an action fly."""
+
+    def flown(self, normalised: FloatArray) -> Commands:
+        """The network's outputs (..., width) in [-1, 1] as commands (..., 4), m/s and rad/s."""
+        return self.flying.of(self.statistics.flown(normalised))
 
 
 def inspect(
-    folder: Path, unnorm_key: str | None = None, *, given: tuple[str, ActionStatistics] | None = None
+    folder: Path,
+    unnorm_key: str | None = None,
+    *,
+    given: tuple[str, ActionStatistics] | None = None,
+    flying: Flying | None = None,
+    tokenizer: Path | None = None,
 ) -> Checkpoint:
     """A folder's checkpoint, read but for the weights themselves.
 
+    `flying` says which numbers fly where an action has more than four. `tokenizer` is the file, or its folder, where it
+    is not beside the weights.
     Statistics are the folder's own, by `unnorm_key`, or `given` with their key: then its own are not looked at.
     Raises `ModelError` for a missing, unreadable or wrong file, a missing, extra or misshapen tensor, statistics that
     are missing, ambiguous or another robot's, and a tokenizer that is not Llama's.
@@ -91,16 +105,20 @@ def inspect(
     table = _read_json(folder / CONFIG)
     try:
         config = read_config(table)
-        key, statistics = given or choose_statistics(_own_statistics(folder, table), unnorm_key)
-        check_tokenizer(_read_json(folder / TOKENIZER), TOKENIZER)
-        prepared = folder / PREPARATION
+        dims = None if flying is None else flying.dims
+        key, statistics = given or choose_statistics(_own_statistics(folder, table), unnorm_key, dims)
+        words = tokenizer or folder
+        words = words / TOKENIZER if words.is_dir() else words
+        check_tokenizer(_read_json(words), TOKENIZER)
+        beside = words.parent / PREPARATION
+        prepared = beside if tokenizer and beside.is_file() else folder / PREPARATION
         preparation = read_preparation(_read_json(prepared)) if prepared.is_file() else ImagePreparation()
     except ModelError as error:
         raise ModelError(f"{folder}: {error}") from None
     shapes, files, stored = _tensors(folder)
     check_tensors(shapes, used_tensors(config), unused_tensors(config), str(folder))
     return Checkpoint(
-        folder, config, files, _head(folder, config), stored, key, statistics, preparation, folder / TOKENIZER
+        folder, config, files, _head(folder, config), stored, key, statistics, preparation, words, flying or Flying()
     )
 
 

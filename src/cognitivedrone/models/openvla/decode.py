@@ -49,11 +49,15 @@ class Decoder(Protocol):
 
 
 class Autoregressive:
-    """One action, token by token, by greedy decoding."""
+    """One action of `size` numbers, token by token, by greedy decoding."""
 
-    def __init__(self, network: OpenVlaNetwork, preparation: ImagePreparation | None = None) -> None:
+    def __init__(
+        self, network: OpenVlaNetwork, preparation: ImagePreparation | None = None, size: int = ACTION_SIZE
+    ) -> None:
         self._network = network
-        self._runner = Runner(lambda *inputs: greedy_tokens(network, *inputs), network, preparation)
+        self._runner = Runner(
+            lambda images, ids, count: greedy_tokens(network, images, ids, count, size), network, preparation, size
+        )
 
     def __call__(self, pixel_values: Images, input_ids: Sequence[int]) -> FloatArray:
         """See `Decoder`."""
@@ -99,18 +103,20 @@ class Parallel:
         return answer
 
 
-def greedy_tokens(network: OpenVlaNetwork, pixel_values: Tensor, input_ids: Tensor, count: Tensor) -> Tensor:
-    """A `Step`: the ids (B, 4) of the most probable tokens, one after the other."""
+def greedy_tokens(
+    network: OpenVlaNetwork, pixel_values: Tensor, input_ids: Tensor, count: Tensor, size: int = ACTION_SIZE
+) -> Tensor:
+    """A `Step`: the ids (B, size) of the most probable tokens, one after the other."""
     embedded = network.embed(input_ids, pixel_values)
     rows, length, width = embedded.shape
-    memory = KeyValues(network.config.language, embedded, length + ACTION_SIZE - 1, rows)
-    places = torch.arange(length + ACTION_SIZE - 1, device=embedded.device)
+    memory = KeyValues(network.config.language, embedded, length + size - 1, rows)
+    places = torch.arange(length + size - 1, device=embedded.device)
     states = network.states(embedded, None, memory=memory)
     following = count + PATCHES  # position of the next token; in the cache it overwrites padding
     last = states.gather(1, (following - 1)[:, None, None].expand(-1, 1, width))
     token = network.language_model.lm_head(last).argmax(-1)
     tokens = [token]
-    for _ in range(ACTION_SIZE - 1):
+    for _ in range(size - 1):
         memory.place = following
         embedded = network.language_model.model.embed_tokens(token)
         seen = (places <= following[:, None])[:, None, None]
@@ -130,11 +136,15 @@ def chunk_actions(network: OpenVlaNetwork, pixel_values: Tensor, input_ids: Tens
 class Runner:
     """Runs a `Step` on the network's device: on a GPU as a CUDA graph, captured once per prompt length and batch."""
 
-    def __init__(self, step: Step, network: OpenVlaNetwork, preparation: ImagePreparation | None = None) -> None:
+    def __init__(
+        self,
+        step: Step,
+        network: OpenVlaNetwork,
+        preparation: ImagePreparation | None = None,
+        size: int = ACTION_SIZE,
+    ) -> None:
         self._weight = network.projector.fc1.bias
-        self._longest = (
-            network.config.language.max_position_embeddings - PATCHES - ACTION_SIZE * (network.config.chunk or 1)
-        )
+        self._longest = network.config.language.max_position_embeddings - PATCHES - size * (network.config.chunk or 1)
         self._network_step = step
         preparation = preparation or ImagePreparation()
         means, deviations = np.array([preparation.means, preparation.deviations], np.float32).reshape(2, 6, 1, 1)
