@@ -18,6 +18,7 @@ from cognitivedrone.interfaces import Policy, Reasoner
 from cognitivedrone.policies import POLICIES, make_policy
 from cognitivedrone.reasoners import REASONERS, make_reasoner
 from cognitivedrone.serving.config import ServePlan
+from cognitivedrone.tasks import task_to_json
 from cognitivedrone.types import (
     ACTION_LIMITS,
     DroneState,
@@ -173,13 +174,15 @@ def test_a_new_flight_draws_from_its_seed_and_a_later_stage_draws_on(name):
 def answers(tmp_path):
     file = tmp_path / "answers.jsonl"
     file.write_text(json.dumps({"task": TASK.id, "directive": TASK.directive}) + "\n")
+    task = {**task_to_json(TASK), "prompt_after_reasoning": TASK.directive}
+    file.with_suffix(".json").write_text(json.dumps([task]))
     return file
 
 
 # The VLMs need a server or weights, and the small reasoner may find no gate in noise: they have tests of their own.
-@pytest.mark.parametrize("name", ["oracle", "noisy-oracle", "noisy-oracle:0.5,each", "replay:FILE"])
+@pytest.mark.parametrize("name", ["oracle", "noisy-oracle", "noisy-oracle:0.5,each", "replay:FILE", "published:TASKS"])
 def test_a_reasoner_answers_with_a_directive_and_the_same_after_a_reset(name, answers):
-    reasoner = make_reasoner(name.replace("FILE", str(answers)))
+    reasoner = make_reasoner(name.replace("FILE", str(answers)).replace("TASKS", str(answers.with_suffix(".json"))))
     reasoner.check()
     given = []
     for _ in range(2):
@@ -203,7 +206,7 @@ def test_every_reasoner_is_reset_with_and_without_ground_truth_and_closes(name, 
 
 
 def test_every_reasoner_of_the_package_is_tested_somewhere():
-    assert set(REASONERS) == {"small", "oracle", "noisy-oracle", "remote", "replay", "vlm", "vlm-local"}
+    assert set(REASONERS) == {"small", "oracle", "noisy-oracle", "remote", "replay", "published", "vlm", "vlm-local"}
     assert all(issubclass(cast("type", registry.load("reasoner", name, REASONERS)), Reasoner) for name in REASONERS)
 
 
@@ -212,7 +215,8 @@ def test_what_needs_ground_truth_or_a_seed_declares_it():
     reasoners = {name: registry.load("reasoner", name, REASONERS) for name in REASONERS}
     assert {name for name, made in policies.items() if made.needs_ground_truth} == {"oracle"}
     assert {name for name, made in policies.items() if made.needs_seed} == set(DRAWING)
-    assert {name for name, made in reasoners.items() if made.needs_ground_truth} == {"oracle", "noisy-oracle", "replay"}
+    told = {name for name, made in reasoners.items() if made.needs_ground_truth}
+    assert told == {"oracle", "noisy-oracle", "replay", "published"}
     assert {name for name, made in reasoners.items() if made.needs_seed} == {"noisy-oracle"}
 
 

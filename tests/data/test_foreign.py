@@ -15,7 +15,9 @@ from cognitivedrone.data.formats.foreign import Columns
 from cognitivedrone.data.formats.tfrecord import encode_example, write_record
 from cognitivedrone.errors import DataError
 
-FLIGHTS: list[tuple[Split, Episode]] = [("train", make_episode(index, 5 + index, encoding="jpeg")) for index in range(3)]
+FLIGHTS: list[tuple[Split, Episode]] = [
+    ("train", make_episode(index, 5 + index, encoding="jpeg")) for index in range(3)
+]
 
 
 def shard(path, width=4, **more):
