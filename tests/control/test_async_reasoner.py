@@ -14,7 +14,7 @@ import pytest
 from cognitivedrone.control.async_reasoner import Question, SimulatedReasoner, ThreadedReasoner
 from cognitivedrone.errors import ReasonerError
 from cognitivedrone.interfaces import Reasoner
-from cognitivedrone.types import EpisodeContext, GroundTruth, Guidance
+from cognitivedrone.types import EpisodeContext, GroundTruth, Guidance, SubGoal
 
 FRAME = np.zeros((256, 256, 3), np.uint8)
 
@@ -172,3 +172,17 @@ started.wait()
 reasoner.close()
 """
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+@pytest.mark.parametrize(("there", "flown"), [(True, "Take the dog"), (False, "Fly to the cat")])
+def test_of_a_condition_what_holds_decides_which_thing_is_asked_for(there, flown):
+    class Sees(Remembers):
+        def refine(self, image, instruction):
+            self.heard.append(instruction)
+            absent = instruction == "Fly to a bus" and not there
+            return Guidance("Hold position" if absent else "Fly through the blue gate", None, 0.5)
+
+    reasoner = Sees()
+    goal = SubGoal("fly", "Take the dog", "Fly to the cat", "Fly to a bus", frozenset({"green"}))
+    SimulatedReasoner(reasoner).ask(Question(0, "Take the dog", FRAME, 0.0, goal=goal))
+    assert reasoner.heard[-1] == f"{flown}, but never through the green gate"

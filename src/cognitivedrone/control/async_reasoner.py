@@ -205,10 +205,14 @@ def _within(goal: SubGoal, image: Image, reasoner: Reasoner, found: Guidance) ->
 
     Raises `ReasonerError` if every gate that fits is forbidden.
     """
-    if goal.otherwise and declines(found.directive):
-        found = reasoner.refine(image, goal.otherwise)
+    asked = goal.instruction
+    there = reasoner.refine(image, goal.condition) if goal.condition else found
+    if goal.otherwise and declines(there.directive):
+        asked = goal.otherwise
+    if asked != goal.instruction or goal.condition:
+        found = reasoner.refine(image, asked)
     if goal.avoid and not reasoner.seen:  # it does not say what else may fit
-        found = reasoner.refine(image, f"{goal.instruction}, but never through the {' or '.join(goal.avoid)} gate")
+        found = reasoner.refine(image, f"{asked}, but never through the {' or '.join(sorted(goal.avoid))} gate")
     if parse_directive(found.directive)[1] not in goal.avoid:
         return found
     allowed = [
