@@ -154,6 +154,23 @@ def test_an_exception_in_the_thread_is_a_fault_too():
     async_reasoner.close()
 
 
+def test_no_thread_is_left_inside_a_library_when_the_process_ends():
+    thinking, go_on = threading.Event(), threading.Event()
+
+    class Slow(Remembers):
+        def refine(self, image, instruction):
+            thinking.set()
+            go_on.wait()
+            return super().refine(image, instruction)
+
+    async_reasoner = ThreadedReasoner(Slow())
+    async_reasoner.ask(question())
+    thinking.wait()
+    threading.Timer(0.1, go_on.set).start()
+    async_reasoner.close()
+    assert not [thread for thread in threading.enumerate() if thread.name == "reasoner"]
+
+
 def test_a_reasoner_that_never_answers_does_not_keep_the_process():
     code = """
 import sys, threading

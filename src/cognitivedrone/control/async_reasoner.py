@@ -24,6 +24,8 @@ from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.tasks.directives import declines, parse_directive
 from cognitivedrone.types import CONTROL_HZ, REASONER_HZ, EpisodeContext, GroundTruth, Guidance, Image, SubGoal
 
+LEAVE_S: Final = 3.0
+"""A reasoner that still thinks after the flight has so long to come to an end."""
 LONGEST_DIRECTIVE = 1000
 """Maximum length in characters."""
 ANSWER_S: Final = 1 / REASONER_HZ + 0.5 / CONTROL_HZ
@@ -139,7 +141,8 @@ class ThreadedReasoner:
         self._answers: SimpleQueue[Answer | BaseException] = SimpleQueue()
         self._asked = False
         # A daemon: the process may end while it thinks, which no pool of concurrent.futures allows.
-        threading.Thread(target=self._think, name="reasoner", daemon=True).start()
+        self._thread = threading.Thread(target=self._think, name="reasoner", daemon=True)
+        self._thread.start()
 
     def idle(self, now: float) -> bool:  # noqa: ARG002
         """Whether the last answer was taken."""
@@ -162,8 +165,13 @@ class ThreadedReasoner:
         return answer
 
     def close(self) -> None:
-        """Shut down without waiting for a pending answer."""
+        """Shut down; a pending answer is waited for a moment.
+
+        A thread that is inside a library of C++ when the interpreter ends takes the process down ("terminate called
+        without an active exception").
+        """
         self._questions.put(None)
+        self._thread.join(LEAVE_S)
 
     def _think(self) -> None:
         while (question := self._questions.get()) is not None:
