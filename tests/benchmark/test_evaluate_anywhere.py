@@ -76,7 +76,7 @@ def test_an_interrupted_call_promises_nothing_that_is_gone(tmp_path, kept):
     with pytest.raises(Interrupted) as stopped:
         evaluate(Stops(), episodes=1, progress=False, **options)
     assert "--resume" not in str(stopped.value)
-    assert ("with out=FOLDER" in str(stopped.value)) != kept
+    assert ("out=FOLDER" in str(stopped.value)) != kept
 
 
 @pytest.mark.parametrize("name", ["random", "gymnasium"])
