@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_type_hints
 
 from cognitivedrone.choices import AppearanceName as AppearanceName
 from cognitivedrone.errors import AppearanceError, LinkError, UnknownOption, did_you_mean
-from cognitivedrone.ranges import WIND, Range, Seed, check_arguments
+from cognitivedrone.ranges import WIND, Range, Seed, check_arguments, fitted
 from cognitivedrone.system import refusal
 from cognitivedrone.text.printable import shown_address
 
@@ -63,6 +63,11 @@ class Options:
     __slots__ = ()
 
     def __post_init__(self) -> None:
+        hints = get_type_hints(type(self), include_extras=True)
+        for each in dataclasses.fields(self):  # type: ignore[arg-type]
+            value = getattr(self, each.name)
+            if (fit := fitted(each.name, hints[each.name], value)) is not value:
+                object.__setattr__(self, each.name, fit)
         check_arguments(type(self), {each.name: getattr(self, each.name) for each in dataclasses.fields(self)})  # type: ignore[arg-type]
         self.check()
 

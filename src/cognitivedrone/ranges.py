@@ -9,7 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, get_args, get_type_hints
+from numbers import Integral, Real
+from os import PathLike
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from cognitivedrone.errors import UsageError
 
@@ -59,6 +63,54 @@ def check_arguments(command: Callable[..., Any], arguments: Mapping[str, Any]) -
         for number in value if isinstance(value, tuple) else (value,):
             if isinstance(number, int | float) and not isinstance(number, bool) and number not in allowed:
                 raise UsageError(f"--{name.replace('_', '-')} is {_shown(number)}; it must be {allowed.wanted(number)}")
+
+
+def fitted(name: str, hint: Any, value: Any) -> Any:
+    """An option's value as its annotation has it: text for a path, a list for a tuple, NumPy's numbers for Python's.
+
+    Raises `UsageError` for a value of another type.
+    """
+    while get_origin(hint) is Annotated:
+        hint = get_args(hint)[0]
+    kinds = [_bare(kind) for kind in (get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,))]
+    for kind in kinds:
+        origin, parts = get_origin(kind), get_args(kind)
+        if origin is Literal and value in parts:
+            return value
+        if origin is tuple and isinstance(value, list | tuple) and parts[1:] == (...,):
+            return tuple(fitted(name, parts[0], each) for each in value)
+        if kind is int and isinstance(value, Integral) and not isinstance(value, bool):
+            return value if isinstance(value, int) else int(value)
+        if kind is float and isinstance(value, Real) and not isinstance(value, bool):
+            return value if isinstance(value, int | float) else float(value)
+        if kind is Path and str not in kinds and isinstance(value, str | PathLike):
+            return Path(value)
+        if origin is Literal or parts[1:] == (...,):
+            continue
+        if not isinstance(kind, type) or (isinstance(value, kind) and not (kind is int and isinstance(value, bool))):
+            return value
+    raise UsageError(f"--{name.replace('_', '-')} is {value!r:.60}; it must be {_wanted(kinds)}")
+
+
+def _bare(kind: Any) -> Any:
+    return _bare(get_args(kind)[0]) if get_origin(kind) is Annotated else kind
+
+
+def _wanted(kinds: Sequence[Any]) -> str:
+    """What an option takes, in words."""
+    words = {
+        int: "a whole number",
+        float: "a number",
+        bool: "True or False",
+        str: "text",
+        Path: "a path",
+        NoneType: "None",
+    }
+    parts = [
+        " or ".join(map(repr, get_args(kind))) if get_origin(kind) is Literal else words.get(kind) or str(kind)
+        for kind in kinds
+    ]
+    return " or ".join(parts)
 
 
 def _ranges(hint: Any) -> Iterator[Range]:

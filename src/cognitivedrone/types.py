@@ -332,7 +332,9 @@ class SubGoal:
     instruction: str
     """A sentence about this stage alone; for the pad to land on its directive."""
     otherwise: str = ""
-    """What is flown through if nothing matches the instruction; empty if nothing is."""
+    """What is flown through if nothing matches the instruction, or the condition; empty if nothing is."""
+    condition: str = ""
+    """What must be there for the instruction to be flown, if that is something else."""
     avoid: frozenset[Color] = frozenset()
     """Colours of gates that are never flown through."""
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import io
+
 import pytest
 from app_fakes import events_of, flown, steps_of
+from rich.console import Console
 
 from cognitivedrone.apps.orders import Orders
 from cognitivedrone.errors import NotUnderstood, ReasonerError
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.pilot import Pilot
-from cognitivedrone.play.board import goals_of, goals_table
+from cognitivedrone.play.board import goals_table
 from cognitivedrone.policies import make_policy
 from cognitivedrone.tasks.directives import parse_directive
 from cognitivedrone.tasks.missions import sub_goals
@@ -37,6 +40,8 @@ def test_a_mission_is_flown_part_after_part_and_lands_on_its_pad(tmp_path):
         ("first the dog, then the red gate, never through red", "forbids it"),
         ("first the dog, then land on the red pad, then the cat", "goes on after the landing"),
         ("land", "names no gate to fly through and no pad"),
+        ("if there is a bus take it, otherwise land", "not understood: 'land'"),
+        ("never through red", "understood up to 'never through red'"),
         (", then ".join(["fly to the dog"] * 50), "has 50 sub-goals"),
     ],
 )
@@ -178,4 +183,25 @@ def test_the_page_lists_what_is_done_and_what_is_to_do():
     mission = "first the dog, then the cat, then land on red"
     shown = [["Fly to the dog", "done"], ["Fly to the cat", "doing"], ["Land on the red pad", "to do"]]
     assert goals_table(sub_goals(mission), 1) == shown
-    assert goals_of(None) == []
+
+
+def test_the_plan_is_shown_as_understood_before_take_off(tmp_path):
+    shown = Console(file=io.StringIO(), width=200)
+    summary = flying("first the elephant, never through red", tmp_path / "out", time_limit=0.2, console=shown)
+    assert "understood as: 1. Fly to the elephant, never through red" in shown.file.getvalue()
+    assert summary.track[0].gates[summary.track[0].target].color != "red"
+
+
+def test_a_mission_that_is_typed_in_flight_and_not_understood_is_not_flown(tmp_path):
+    orders = Typed(at_10="first the dog, then the cat, never through red, green or blue")
+    summary = flying("the elephant", tmp_path / "out", orders=orders, time_limit=3)
+    assert "was not understood" in summary.ending.reason
+    assert [result.outcome for result in summary.results if result.outcome == "passed"] == []
+
+
+def test_of_a_condition_the_other_thing_is_flown_to_where_it_does_not_hold(tmp_path):
+    summary = flying("if there is a bus take the dog, otherwise the elephant", tmp_path / "out")
+    (task,) = summary.track
+    assert task.labels[task.target].startswith("animal/elephant")
+    assert not any("bus" in label for label in task.labels)
+    assert [result.outcome for result in summary.results] == ["passed"]

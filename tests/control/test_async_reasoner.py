@@ -14,7 +14,7 @@ import pytest
 from cognitivedrone.control.async_reasoner import Question, SimulatedReasoner, ThreadedReasoner
 from cognitivedrone.errors import ReasonerError
 from cognitivedrone.interfaces import Reasoner
-from cognitivedrone.types import EpisodeContext, GroundTruth, Guidance
+from cognitivedrone.types import EpisodeContext, GroundTruth, Guidance, SubGoal
 
 FRAME = np.zeros((256, 256, 3), np.uint8)
 
@@ -154,6 +154,23 @@ def test_an_exception_in_the_thread_is_a_fault_too():
     async_reasoner.close()
 
 
+def test_no_thread_is_left_inside_a_library_when_the_process_ends():
+    thinking, go_on = threading.Event(), threading.Event()
+
+    class Slow(Remembers):
+        def refine(self, image, instruction):
+            thinking.set()
+            go_on.wait()
+            return super().refine(image, instruction)
+
+    async_reasoner = ThreadedReasoner(Slow())
+    async_reasoner.ask(question())
+    thinking.wait()
+    threading.Timer(0.1, go_on.set).start()
+    async_reasoner.close()
+    assert not [thread for thread in threading.enumerate() if thread.name == "reasoner"]
+
+
 def test_a_reasoner_that_never_answers_does_not_keep_the_process():
     code = """
 import sys, threading
@@ -172,3 +189,17 @@ started.wait()
 reasoner.close()
 """
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+@pytest.mark.parametrize(("there", "flown"), [(True, "Take the dog"), (False, "Fly to the cat")])
+def test_of_a_condition_what_holds_decides_which_thing_is_asked_for(there, flown):
+    class Sees(Remembers):
+        def refine(self, image, instruction):
+            self.heard.append(instruction)
+            absent = instruction == "Fly to a bus" and not there
+            return Guidance("Hold position" if absent else "Fly through the blue gate", None, 0.5)
+
+    reasoner = Sees()
+    goal = SubGoal("fly", "Take the dog", "Fly to the cat", "Fly to a bus", frozenset({"green"}))
+    SimulatedReasoner(reasoner).ask(Question(0, "Take the dog", FRAME, 0.0, goal=goal))
+    assert reasoner.heard[-1] == f"{flown}, but never through the green gate"

@@ -3,6 +3,7 @@
 import contextlib
 import io
 
+import numpy as np
 import pytest
 from broken_pilots import IMAGES, STATES, Remembering, Seeker, Slow
 
@@ -90,6 +91,16 @@ def test_each_fault_is_named(views, how):
     wrong = wrong_with(Seeker(how), views)
     assert sentence in wrong[question]
     assert set(wrong) <= {question, "instruction"}
+
+
+def test_a_pilot_that_errs_once_in_twenty_is_not_deterministic(views):
+    class Errs(Seeker):
+        rng = np.random.default_rng(3)
+
+        def act(self, observation):
+            return super().act(observation) * (-1 if self.rng.random() < 0.05 else 1)
+
+    assert "switch dropout off" in wrong_with(Errs(), views)["determinism"]
 
 
 MODEL_FAULTS = {

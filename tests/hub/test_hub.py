@@ -23,6 +23,7 @@ from cognitivedrone.data.store import Store
 from cognitivedrone.data.verify import verify
 from cognitivedrone.errors import HubError
 from cognitivedrone.hub.contents import check_names, contents_of, kind_of
+from cognitivedrone.hub.transfer import _api
 from cognitivedrone.models.reasoner_file import LOOKS
 
 constants = pytest.importorskip("huggingface_hub.constants")
@@ -184,6 +185,28 @@ def test_what_cannot_be_reached_or_is_too_large_is_one_sentence(hub, reader, tmp
     monkeypatch.setitem(sys.modules, "huggingface_hub", None)
     assert "cognitivedrone[hub]" in said_of(capsys, "hub", "pull", "me/eyes", new)
     assert not new.exists()
+
+
+@pytest.mark.parametrize("sha", ["/tmp/elsewhere", "../..", "main", "0" * 39, "", "A" * 40])  # noqa: S108
+def test_a_commit_that_is_no_commit_is_not_used_as_a_path(hub, tmp_path, capsys, sha):
+    hub.repos["model me/evil"] = repo = Repo(private=False)
+    repo.commits[sha] = {"recipe.json": b"{}"}
+    assert "expected 40 hexadecimal digits" in said_of(capsys, "hub", "pull", "me/evil", tmp_path / "in" / "new")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_download_that_is_larger_than_listed_ends_while_it_arrives(hub, tmp_path, capsys):
+    hub.repos["model me/evil"] = repo = Repo(private=False)
+    repo.add({"panel_reader.onnx": b"small"})
+    hub.lies["panel_reader.onnx"] = bytes(60_000_000)
+    said = said_of(capsys, "hub", "pull", "me/evil", tmp_path / "new")
+    assert "me/evil: " in said
+    assert sum(path.stat().st_size for path in tmp_path.rglob("*") if path.is_file()) < 40_000_000
+
+
+def test_an_empty_endpoint_is_the_public_hub(monkeypatch):
+    monkeypatch.setenv("HF_ENDPOINT", "")
+    assert _api()[1] == "https://huggingface.co"
 
 
 def test_an_upload_that_breaks_off_is_one_sentence(hub, reader, capsys):

@@ -35,18 +35,18 @@ def test_seeds_count_through_the_tracks_and_then_through_starts(env):
     for seed, episode, draw in ((0, 0, 0), (7, 7, 0), (31, 1, 1), (1000, 10, 33)):
         seen, info = env.reset(seed=seed)
         expected, _ = plain.reset(options={"episode": episode, "seed": draw})
-        assert info == {"episode": episode, "is_success": False}
+        assert info == {"episode_index": episode, "is_success": False}
         assert np.array_equal(seen["pixels"]["front"], expected["image"])
         assert seen["agent_pos"][3] == expected["height"][0]
         assert env.task_description == expected["instruction"]
-    assert env.reset()[1]["episode"] == 11, "without a seed, the next track"
+    assert env.reset()[1]["episode_index"] == 11, "without a seed, the next track"
     plain.close()
 
 
 def test_the_instruction_is_not_an_observation_and_the_answer_is_nowhere(env):
     seen, info = env.reset(seed=0)
     assert set(seen) == {"pixels", "agent_pos"}
-    assert set(info) == {"episode", "is_success"}
+    assert set(info) == {"episode_index", "is_success"}
 
 
 def test_a_mission_is_told_as_a_whole():
@@ -59,7 +59,7 @@ def test_a_mission_is_told_as_a_whole():
 def test_a_family_can_be_flown_alone():
     letters = LeRobotEnv("open-v1:smoke", task="letters")
     tracks = load_suite("open-v1:smoke").tracks
-    flown = [letters.reset(seed=seed)[1]["episode"] for seed in range(3)]
+    flown = [letters.reset(seed=seed)[1]["episode_index"] for seed in range(3)]
     letters.close()
     assert letters.task == "letters"
     assert flown == [i for i, track in enumerate(tracks) if track[0].family == "letters"][:3]

@@ -6,6 +6,7 @@ import io
 import json
 import time
 import urllib.error
+import urllib.parse
 import urllib.request
 
 import numpy as np
@@ -60,6 +61,10 @@ def page():
     channels, controls = Channels(), Recorded()
     with serving_page(PAGE, channels, controls, None) as address:
         yield address, channels, controls
+
+
+def port_of(address):
+    return urllib.parse.urlsplit(address).port
 
 
 def live(address, **options):
@@ -126,10 +131,11 @@ def test_with_a_token_only_who_has_it_gets_in():
         assert (status, "needs its token" in body.decode()) == (403, True)
         assert ask(address, "?token=wrong-wrong-wrong")[0] == 403
         assert ask(address, f"?token={TOKEN}")[0] == 200
-        assert ask(address, "static/app.js", headers={"Cookie": f"cognitivedrone={TOKEN}"})[0] == 200
+        cookie = f"cognitivedrone-{port_of(address)}={TOKEN}"
+        assert ask(address, "static/app.js", headers={"Cookie": cookie})[0] == 200
         with pytest.raises(InvalidStatus, match="403"), live(address):
             pass
-        with live(address, additional_headers={"Cookie": f"cognitivedrone={TOKEN}"}):
+        with live(address, additional_headers={"Cookie": cookie}):
             pass
 
 

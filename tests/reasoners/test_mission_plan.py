@@ -36,8 +36,8 @@ GOOD_PLAN = plan(
     fly("Fly to the cat", avoid=("red",)), fly("Fly to the bus", "Fly to the bicycle", ("red",)), land("blue")
 )
 GOALS = (
-    SubGoal("fly", "Fly to the cat", "", frozenset({"red"})),
-    SubGoal("fly", "Fly to the bus", "Fly to the bicycle", frozenset({"red"})),
+    SubGoal("fly", "Fly to the cat", avoid=frozenset({"red"})),
+    SubGoal("fly", "Fly to the bus", "Fly to the bicycle", avoid=frozenset({"red"})),
     SubGoal("land", "Land on the blue pad"),
 )
 
@@ -127,6 +127,9 @@ def test_a_plan_that_was_cut_off_is_reported(script, vlm):
     ("reply", "says"),
     [
         (plan(land("red"), fly("Fly to the cat")), "goes on after the landing"),
+        (plan(fly("Fly to the cat, then land on red")), "has 'land'"),
+        (plan(fly("Fly to the cat"), land("blue")), "leaves out what is forbidden, red"),
+        (plan(fly("Fly to the cat", avoid=("red",)), land("red")), "leaves out the landing"),
         (plan(fly("Fly through the red gate", avoid=("red",))), "asks for the red gate and forbids it"),
     ],
 )

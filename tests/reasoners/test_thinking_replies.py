@@ -182,7 +182,7 @@ def test_a_server_without_one_of_the_fields_keeps_the_other(no_vlm_settings):
     script = Script(replies=[(400, b"no"), (400, b"no"), (200, chat(ANSWER))])
     with serving(script) as url:
         reasoner = make_reasoner(f"vlm:{url},model=eye-7b,timeout=60,thinking=no")
-        with pytest.warns(RuntimeWarning, match="does not know the field of thinking=no"):
+        with pytest.warns(RuntimeWarning, match="does not take chat_template_kwargs"):
             reasoner.refine(FRAME, "Fly on")
         reasoner.refine(FRAME, "Fly on")
         reasoner.close()

@@ -150,6 +150,8 @@ def layout(**second):
         ({"layout": layout(sway=0.5, period=0)}, "period of gate 2 is 0; it must be from 1 to 60"),
         ({"layout": layout(sway=0.5, phase=9)}, "phase of gate 2 is 9; it must be from -6.28 to 6.28"),
         ({"layout": layout(sway=0.5, period=2)}, "gate 2 moves at 1.57 m/s; make its period 3.1 s at least"),
+        ({"layout": layout(x=4.0, y=3.5)}, "gates 1 and 2 touch; move them apart"),
+        ({"layout": layout(x=7.9, y=5.5)}, "a gate of the layout hides another"),
         ({"layout": layout(sway=1.0, y=1.2)}, "gates 1 and 2 may meet on their ways; move them apart"),
         (
             {"options": ["nine.dae", "six.dae", "nine.dae"]},

@@ -433,3 +433,12 @@ def test_a_camera_that_repeats_one_frame_grows_old():
     assert [camera.read().age_s for _ in range(4)] == pytest.approx([0.55, 0.05, 0.15, 0.35])
     camera.active = False
     assert camera.read().age_s == pytest.approx(0.05)
+
+
+def test_a_stream_that_stalls_is_told_in_our_words(monkeypatch):
+    def stalls(*_, **__):
+        raise av.error.ExitError(1414092869, "Immediate exit requested", "rtsp://drone/")
+
+    monkeypatch.setattr(av, "open", stalls)
+    with pytest.raises(CameraError, match=r"it sent nothing for 1\.5 s; is it still connected\?"):
+        open_camera("rtsp://127.0.0.1:1/", CameraConfig(silence_s=1.5))

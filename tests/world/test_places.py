@@ -243,6 +243,22 @@ def test_pictures_that_are_no_panoramas_are_refused_with_the_way_out(tmp_path, s
         places.load_place(str(tmp_path / "mine.jpg"))
 
 
+def test_a_part_of_a_sphere_is_drawn_where_its_own_metadata_say(tmp_path):
+    strip = np.full((128, 256, 3), (90, 120, 60), np.uint8)
+    strip[:, 120:136] = (250, 20, 20)  # a post, a sixteenth of the picture
+    values = {"FullPanoWidth": 512, "FullPanoHeight": 256, "CroppedAreaLeft": 128, "CroppedAreaTop": 64}
+    values |= {"CroppedAreaImageWidth": 256, "CroppedAreaImageHeight": 128}
+    xmp = "<x:xmpmeta xmlns:x='adobe:ns:meta/'>" + " ".join(f'GPano:{k}Pixels="{v}"' for k, v in values.items())
+    Image.fromarray(strip).save(tmp_path / "part.jpg", quality=95, xmp=xmp.encode())
+    pixels = places.load_place(str(tmp_path / "part.jpg")).pixels.astype(int)
+    post = (pixels[512, :, 0] > 200) & (pixels[512, :, 1] < 80)
+    assert np.flatnonzero(post).mean() == pytest.approx(1023.5, abs=4)
+    assert post.sum() == pytest.approx(64, abs=6), "half as wide as stretched over everything"
+    Image.fromarray(strip).save(tmp_path / "bad.jpg", xmp=xmp.replace('"512"', '"100"').encode())
+    with pytest.raises(AppearanceError, match="does not fit"):
+        places.load_place(str(tmp_path / "bad.jpg"))
+
+
 def test_a_name_that_is_neither_place_nor_file_is_met_with_the_nearest(tmp_path):
     with pytest.raises(AppearanceError, match="did you mean 'warehouse'"):
         places.load_place("wearhouse")

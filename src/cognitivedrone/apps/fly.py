@@ -53,7 +53,7 @@ from cognitivedrone.models.small_file import SmallModel
 from cognitivedrone.pilot import Pilot, open_pilot
 from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.sim.airframe import find_airframe
-from cognitivedrone.tasks.missions import is_mission, lands, problem_of, sub_goals
+from cognitivedrone.tasks.missions import is_mission, lands, read, sub_goals, told
 from cognitivedrone.types import CONTROL_HZ, Event, SubGoal
 from cognitivedrone.vehicles import check_vehicle, open_vehicle
 from cognitivedrone.vehicles.checklist import Checklist
@@ -115,10 +115,16 @@ def fly_mission(
                 if scene is not None:
                     scene = _begin(plan, vehicle, pilot, scene, evidence, given=given)
                     say(console, scene.summary)
+                mission = plan.instruction.strip() or (scene and scene.track[0].mission) or ""
+                if is_mission(goals := plans(mission)):
+                    steps = "; ".join(f"{number}. {told(goal)}" for number, goal in enumerate(goals, 1))
+                    say(console, f"understood as: {steps}")
                 log = FlightLog(out, _about(plan, scene), ros, pilot.reasoner)
                 with watchdog.over(vehicle, partial(log.close, None)):
                     plain = functools.cache(partial(plain_instruction, evidence, scene))
-                    summary = _fly(plan, vehicle, pilot, log, orders, console, keyboard, plain, pace, page, plans)
+                    summary = _fly(
+                        plan, vehicle, pilot, log, orders, console, keyboard, plain, pace, page, plans, goals
+                    )
                 if vehicle.track_runner is not None:
                     scenes = scenes_of(vehicle.track_runner)
         except BaseException as stop:
@@ -154,9 +160,8 @@ def _scene(plan: FlyPlan, evidence: Evidence, console: Console, keyboard: TextIO
     while True:
         try:
             scene = None
-            if plan.vehicle.kind == "mavlink":
-                _check_mission(sub_goals(plan.instruction))
-            else:
+            _check_mission(plan.instruction, pads=plan.vehicle.kind != "mavlink")
+            if plan.vehicle.kind != "mavlink":
                 scene = choose_scene(plan, evidence.understanding)
             check_evidence(evidence, scene, plan.instruction.strip())
             return plan, scene
@@ -169,13 +174,12 @@ def _scene(plan: FlyPlan, evidence: Evidence, console: Console, keyboard: TextIO
             plan = plan.changed(instruction=typed)
 
 
-def _check_mission(goals: Sequence[SubGoal]) -> None:
-    """Raise `NotUnderstood` for a mission that a vehicle without a scene cannot fly."""
-    if not is_mission(goals):
-        return
-    if problem := problem_of(goals):
-        raise NotUnderstood(f"the mission {problem}")
-    if any(lands(goal.instruction)[1] for goal in goals):
+def _check_mission(mission: str, *, pads: bool) -> None:
+    """Raise `NotUnderstood` for a mission that was not understood whole, or lands on pads that there are not."""
+    reading = read(mission)
+    if reading.problem:
+        raise NotUnderstood(f"the mission {reading.problem}")
+    if not pads and any(lands(goal.instruction)[1] for goal in reading.goals if goal.kind == "land"):
         raise NotUnderstood(NO_PADS)
 
 
@@ -185,6 +189,7 @@ def _planned(plan: FlyPlan, pilot: Pilot, scene: ChosenScene | None) -> Plans:
     mission = plan.instruction or of_scene or ""
     if plan.vehicle.kind != "sim" and scene is not None and any(task.landing for task in scene.track):
         raise NotUnderstood(NO_PADS)  # the floor of the vehicle's fence is above them
+    _check_mission(mission, pads=True)
     if not mission or not (mission == of_scene or is_mission(sub_goals(mission))):
         return sub_goals
     try:
@@ -287,6 +292,7 @@ def _fly(
     pace: Pace,
     page: Page | None,
     plans: Plans,
+    goals: Sequence[SubGoal],
 ) -> Summary:
     """Take off, fly and land."""
     _check_truth(vehicle, pilot)
@@ -297,7 +303,7 @@ def _fly(
     passage = Passage() if vehicle.track_runner is None else None
     flown: Drone = drone if page is None else SteeredDrone(drone, page)
     if page is not None:
-        page.begin(vehicle, pilot, plans)
+        page.begin(vehicle, pilot, goals if is_mission(goals) else ())
     if passage is not None:
         flown = WatchedDrone(flown, passage)
     looks = vehicle.track_runner is not None and pilot.reasoner is not None and plan.hold_below > 0

@@ -17,7 +17,7 @@ from cognitivedrone.control.planning import Plans
 from cognitivedrone.control.second_look import SecondLook
 from cognitivedrone.interfaces import Drone
 from cognitivedrone.tasks.directives import HOLD, parse_directive
-from cognitivedrone.tasks.missions import is_mission, rejects, sub_goals
+from cognitivedrone.tasks.missions import is_mission, read, rejects, sub_goals
 from cognitivedrone.types import Action, Color, Event, Guidance, Observation, SubGoal
 from cognitivedrone.vehicles.contract import Vehicle
 
@@ -99,7 +99,7 @@ class Mission:
         sentence = instruction if goal is None else goal.instruction
         # The words of a reasoner's own plan are its own: only what people type is put into plain words.
         own = goal is not None and self._plans(instruction) != sub_goals(instruction)
-        plain = sentence if own else self._plain(sentence)
+        plain = sentence if own else None if read(instruction).problem else self._plain(sentence)
         if plain is None:
             self._hold.give_up(f"{sentence!r} was not understood")
             plain = self.segment.instruction if self.segment is not None else HOLD

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
-from cognitivedrone.control.planning import Plans
 from cognitivedrone.interfaces import Drone
 from cognitivedrone.pilot import Pilot
-from cognitivedrone.types import Action, Event, Guidance, Observation, StageResult, Track
+from cognitivedrone.types import Action, Event, Guidance, Observation, StageResult, SubGoal, Track
 from cognitivedrone.vehicles.contract import Status, Vehicle
 
 EndKind = Literal["passed", "flown", "missed", "unsure", "ordered", "time", "vehicle", "interrupted"]
@@ -66,8 +66,8 @@ class Instrument(Protocol):
 class Page(Instrument, Protocol):
     """Shows a flight to people, who may steer it. Nothing of it may wait."""
 
-    def begin(self, vehicle: Vehicle, pilot: Pilot, plans: Plans) -> None:
-        """Show a flight that begins now; `plans` are the sub-goals of what it is told."""
+    def begin(self, vehicle: Vehicle, pilot: Pilot, goals: Sequence[SubGoal]) -> None:
+        """Show a flight that begins now; `goals` are the sub-goals of its mission, if that is one."""
         ...
 
     def steer(self, action: Action) -> Action:

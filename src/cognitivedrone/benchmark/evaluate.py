@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import importlib
+import os
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
 from cognitivedrone.adapters import as_policy, as_reasoner
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.reports.tables import as_text, results_table
-from cognitivedrone.benchmark.runs.runner import run
+from cognitivedrone.benchmark.runs.runner import Interrupted, run
 from cognitivedrone.benchmark.scores.results import Results
 from cognitivedrone.benchmark.scores.scoring import Summary
 from cognitivedrone.errors import RunError
@@ -47,7 +49,7 @@ class Evaluation:
 
 def evaluate(
     policy: str | PolicyLike | Callable[[], PolicyLike] = "small",
-    suite: str | Path | Plan = "open-v1:smoke",
+    suite: str | PathLike[str] | Plan = "open-v1:smoke",
     *,
     reasoner: str | ReasonerLike | Callable[[], ReasonerLike] | None = None,
     progress: bool = True,
@@ -71,7 +73,7 @@ def evaluate(
     for an unknown option; an exception of the policy's own counts as `policy_error` unless `fail_fast` is true.
     """
     if not isinstance(suite, Plan):
-        suite = Plan.of(suite="", tasks=Path(suite)) if Path(suite).exists() else Plan.of(suite=str(suite))
+        suite = Plan.of(suite="", tasks=Path(suite)) if Path(suite).exists() else Plan.of(suite=os.fspath(suite))
     parts = {"policy": policy, "reasoner": suite.pilot.reasoner if reasoner is None else reasoner}
     names = {kind: _name_of(part) for kind, part in parts.items()}
     plan = suite.changed(**{kind: names[kind] or _description(part) for kind, part in parts.items()}, **options)
@@ -81,10 +83,16 @@ def evaluate(
             _one_process(here, plan.workers, progress)
             plan = plan.changed(workers=0)
             pilot, command = _pilot(undo, **parts), _call_of(plan)
-        if plan.out is None:
+        kept = plan.out is not None
+        if not kept:
             folder = undo.enter_context(TemporaryFolder())
             plan = plan.changed(out=folder / "run", clips=0)
-        return Evaluation(run(plan, progress=progress, pilot=pilot, command=command))
+        try:
+            return Evaluation(run(plan, progress=progress, pilot=pilot, command=command))
+        except Interrupted as stopped:
+            told = str(stopped).partition(", all kept")[0]
+            way_out = "continue with resume=True" if kept else "out=FOLDER keeps them, and resume=True continues"
+            raise Interrupted(f"{told}; {way_out}") from None
 
 
 def _name_of(part: object) -> str | None:

@@ -27,6 +27,7 @@ from cognitivedrone.cli.streams import prepare_streams
 from cognitivedrone.errors import CognitiveDroneError, MissingExtra, UsageError, did_you_mean, plain_warnings
 from cognitivedrone.files import reason_of
 from cognitivedrone.ranges import check_arguments, check_words
+from cognitivedrone.system.hidden_modules import hidden_module
 from cognitivedrone.system.interrupts import STOPPED, ending_in_order, was_asked
 from cognitivedrone.system.processes import SAFE_PATH
 from cognitivedrone.system.shortages import way_out_of
@@ -131,6 +132,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _unexpected(error: Exception) -> str:
     """The sentence for what nothing else has caught, with the place of its traceback."""
     told = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    if hidden := hidden_module():
+        return hidden
     sentence = f"an error that nobody expected: {' '.join(told.split())[:_LONGEST_ERROR]}"
     text = message("".join(traceback.format_exception(error)))
     try:

@@ -77,7 +77,7 @@ def play(plan: Annotated[Flat[PlayPlan], tyro.conf.arg(name="")]) -> None:
     from cognitivedrone.play.app import play as open_page
 
     def ready(address: str) -> None:
-        print(wrapped(f"the page is at {address}  (ctrl-C ends)", sys.stdout), flush=True)  # noqa: T201
+        print(visible(f"the page is at {address}  (ctrl-C ends)"), flush=True)  # noqa: T201
 
     with ending_on_signals():
         open_page(plan, ready)

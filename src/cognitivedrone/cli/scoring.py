@@ -20,7 +20,8 @@ def bench(plan: Annotated[Flat[Plan], tyro.conf.arg(name="")]) -> None:
     """Fly a policy through a suite of tasks and score it: without arguments, the small VLA through the test suite.
 
     Writes results.json, one record per episode, and a self-contained report.html. A stopped run continues with
-    --resume. Exit code 1 if every episode ended in an error of the policy. Examples:
+    --resume. Exit code 1 if every episode ended in an error of the policy, or the reasoner's server
+    did not answer 5 % of the questions. Examples:
 
       cognitivedrone bench
       cognitivedrone bench --suite open-v1:smoke --policy colour_seeker --reasoner oracle
@@ -40,7 +41,7 @@ def bench(plan: Annotated[Flat[Plan], tyro.conf.arg(name="")]) -> None:
     screen.print(f"report: {out_of(plan) / 'report.html'}")
     if plan.shard is not None:
         screen.print(f"This is shard {plan.shard} alone; 'cognitivedrone merge' joins the folders of all shards.")
-    if results.policy_failure:
+    if results.policy_failure or results.not_measured:
         raise SystemExit(1)
 
 
@@ -87,6 +88,8 @@ def reason(plan: Annotated[Flat[ReasonPlan], tyro.conf.arg(name="")]) -> None:
     results = score_reasoner(plan)
     screen.print(reason_table(results))
     screen.print(f"answers: {results.out / ANSWERS_FILE}")
+    if results.not_measured:
+        raise SystemExit(1)
 
 
 def predict(plan: Annotated[Flat[PredictPlan], tyro.conf.arg(name="")]) -> None:

@@ -25,8 +25,8 @@ from cognitivedrone.labels.folder import digest_of_labels
 from cognitivedrone.policies import POLICIES, make_policy
 from cognitivedrone.rollout import cards
 from cognitivedrone.rollout.cluster import import_ray
-from cognitivedrone.rollout.pool import Pool, WorkerCrash
-from cognitivedrone.rollout.process_pool import ProcessPool
+from cognitivedrone.rollout.pool import InProcess, Pool, WorkerCrash
+from cognitivedrone.rollout.process_pool import ProcessPool, no_processes, say_in_process
 from cognitivedrone.rollout.ray_pool import RayPool
 from cognitivedrone.terminal.progress import progress_bar
 
@@ -196,6 +196,9 @@ def pool_of(job: Job, config: CollectPlan, most: int) -> Pool[list[int], FlownEp
     workers = config.workers or cards.here().workers(on_card=heavy)
     if config.executor == "ray":
         return RayPool(job, workers, most, gpus=None if heavy else 0.0)
+    if why := no_processes():
+        say_in_process(why)
+        return InProcess(job)
     return ProcessPool(job, min(workers, most))
 
 

@@ -24,6 +24,8 @@ from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.tasks.directives import declines, parse_directive
 from cognitivedrone.types import CONTROL_HZ, REASONER_HZ, EpisodeContext, GroundTruth, Guidance, Image, SubGoal
 
+LEAVE_S: Final = 3.0
+"""A reasoner that still thinks after the flight has so long to come to an end."""
 LONGEST_DIRECTIVE = 1000
 """Maximum length in characters."""
 ANSWER_S: Final = 1 / REASONER_HZ + 0.5 / CONTROL_HZ
@@ -139,7 +141,8 @@ class ThreadedReasoner:
         self._answers: SimpleQueue[Answer | BaseException] = SimpleQueue()
         self._asked = False
         # A daemon: the process may end while it thinks, which no pool of concurrent.futures allows.
-        threading.Thread(target=self._think, name="reasoner", daemon=True).start()
+        self._thread = threading.Thread(target=self._think, name="reasoner", daemon=True)
+        self._thread.start()
 
     def idle(self, now: float) -> bool:  # noqa: ARG002
         """Whether the last answer was taken."""
@@ -162,8 +165,13 @@ class ThreadedReasoner:
         return answer
 
     def close(self) -> None:
-        """Shut down without waiting for a pending answer."""
+        """Shut down; a pending answer is waited for a moment.
+
+        A thread that is inside a library of C++ when the interpreter ends takes the process down ("terminate called
+        without an active exception").
+        """
         self._questions.put(None)
+        self._thread.join(LEAVE_S)
 
     def _think(self) -> None:
         while (question := self._questions.get()) is not None:
@@ -205,10 +213,14 @@ def _within(goal: SubGoal, image: Image, reasoner: Reasoner, found: Guidance) ->
 
     Raises `ReasonerError` if every gate that fits is forbidden.
     """
-    if goal.otherwise and declines(found.directive):
-        found = reasoner.refine(image, goal.otherwise)
+    asked = goal.instruction
+    there = reasoner.refine(image, goal.condition) if goal.condition else found
+    if goal.otherwise and declines(there.directive):
+        asked = goal.otherwise
+    if asked != goal.instruction or goal.condition:
+        found = reasoner.refine(image, asked)
     if goal.avoid and not reasoner.seen:  # it does not say what else may fit
-        found = reasoner.refine(image, f"{goal.instruction}, but never through the {' or '.join(goal.avoid)} gate")
+        found = reasoner.refine(image, f"{asked}, but never through the {' or '.join(sorted(goal.avoid))} gate")
     if parse_directive(found.directive)[1] not in goal.avoid:
         return found
     allowed = [

@@ -1,4 +1,4 @@
-"""The plan of a mission: the reasoner's own, asked for on the ground, or else the sentence cut by its words."""
+"""The plan of a mission: the reasoner's own, asked for on the ground, or else the sentence read by its words."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from cognitivedrone.control.async_reasoner import asking
 from cognitivedrone.control.calls import NO_WATCH, Watch
 from cognitivedrone.errors import ReasonerError
 from cognitivedrone.interfaces import Reasoner
-from cognitivedrone.tasks.missions import problem_of, sub_goals
+from cognitivedrone.tasks.missions import problem_of, read, sub_goals
 from cognitivedrone.types import SubGoal
 
 Plans = Callable[[str], tuple[SubGoal, ...]]
@@ -16,12 +16,30 @@ Plans = Callable[[str], tuple[SubGoal, ...]]
 
 
 def plans_with(reasoner: Reasoner | None, mission: str, watch: Watch = NO_WATCH) -> Plans:
-    """The plan of `mission`, made now by a reasoner that plans, and of any other sentence cut by its words.
+    """The plan of `mission`, made now by a reasoner that plans, and of any other sentence read by its words.
 
-    Raises `ReasonerError` if the reasoner has no plan that can be flown.
+    A plan of its own must keep to what the words forbid, and to their landing; a condition, which a plan cannot hold,
+    is left to the words. Raises `ReasonerError` if there is no plan that can be flown.
     """
-    own = None if reasoner is None else _plan_of(reasoner, mission, watch)
+    words = read(mission)
+    judged = reasoner is not None and not reasoner.needs_ground_truth
+    own = (
+        None if reasoner is None or any(goal.condition for goal in words.goals) else _plan_of(reasoner, mission, watch)
+    )
+    if judged and own is None and words.problem:
+        raise ReasonerError("schema", f"the mission {words.problem}")
+    if own is not None and not words.problem and (lost := _lost(words.goals, own)):
+        raise ReasonerError("schema", f"the reasoner's plan leaves out {lost}")
     return lambda sentence: own if own is not None and sentence == mission else sub_goals(sentence)
+
+
+def _lost(words: tuple[SubGoal, ...], own: tuple[SubGoal, ...]) -> str:
+    """What the words say and a plan does not: a prohibition, or the landing."""
+    forbidden = frozenset(color for goal in words for color in goal.avoid)
+    if any(goal.kind == "fly" and not goal.avoid >= forbidden for goal in own):
+        return f"what is forbidden, {' and '.join(sorted(forbidden))}"
+    landings = [[goal.instruction for goal in goals if goal.kind == "land"] for goals in (words, own)]
+    return "" if landings[0] == landings[1] else f"the landing, {(landings[0] or ['none'])[0].lower()}"
 
 
 def _plan_of(reasoner: Reasoner, mission: str, watch: Watch) -> tuple[SubGoal, ...] | None:

@@ -71,7 +71,7 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         episode, draw = drawn(self.suite, self.np_random, wanted)
         self._worlds.begin(0, self.suite, episode, draw)
         self.view.cut()
-        return self._observe(), self._info(episode=episode)
+        return self._observe(), self._info(episode_index=episode)
 
     def step(self, action: Action) -> tuple[dict[str, Any], float, bool, bool, Info]:
         """Fly one control period, 0.1 s."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
@@ -23,7 +24,10 @@ from cognitivedrone.system import move_folder
 from cognitivedrone.system.usage_reports import switch_off
 
 ENDPOINT: Final = "https://huggingface.co"
+_SLACK_BYTES: Final = 10_000_000
+"""A part that is sent again counts twice."""
 MOST_FILES: Final = 50_000
+_COMMIT: Final = re.compile(r"[0-9a-f]{40}")
 _OF_THE_HUB: Final = (".gitattributes", "README.md")
 """Files that the Hub adds by itself; a data set's folder must not hold them."""
 _REPLACED: Final = [*(f"*{suffix}" for suffix in SUFFIXES if suffix != ".md"), "*.tfrecord-*", "SHA256SUMS"]
@@ -103,7 +107,7 @@ def _download(
         check_no_link(part.parent, part.name)  # of an interrupted download, which goes on
         api.snapshot_download(
             short, repo_type=repo_type, revision=commit, local_dir=part, cache_dir=part / ".cache",
-            ignore_patterns=list(_OF_THE_HUB),
+            ignore_patterns=list(_OF_THE_HUB), tqdm_class=_limited(name, sum(listed.values())),
         )  # fmt: skip
     try:
         kind = _check(part, listed, repo_type, name)
@@ -118,6 +122,25 @@ def _download(
         record = json.dumps(asdict(done), indent=2) + "\n"
         replace_file(folder.with_name(f"{folder.name}.hub.json"), record.encode())
     return done
+
+
+def _limited(name: str, size: int) -> Any:
+    """The library's progress bar, which ends a download of more bytes than were listed while they arrive."""
+    bar: Any = import_extra("huggingface_hub.utils", "hub").tqdm
+
+    class Limited(bar):  # type: ignore[misc]  # a class of the library's
+        def __init__(self, *args: Any, **options: Any) -> None:
+            self.received, self.counts_bytes = 0.0, options.get("unit") == "B"
+            super().__init__(*args, **options)
+
+        def update(self, n: float | None = 1) -> bool | None:
+            self.received += n or 0
+            if self.counts_bytes and self.received > size + _SLACK_BYTES:
+                raise HubError(f"{name}: sends more than the {size_text(size)} that it lists; it was not kept")
+            more: bool | None = super().update(n)
+            return more
+
+    return Limited
 
 
 def _check(part: Path, listed: dict[str, int], repo_type: RepoType, name: str) -> str:
@@ -143,7 +166,10 @@ def _find(api: Any, name: str, revision: str) -> tuple[RepoType, str, str]:
     types: tuple[RepoType, ...] = ("model", "dataset") if stated is None else (stated,)
     for repo_type in types:
         try:
-            return repo_type, short, str(api.repo_info(short, repo_type=repo_type, revision=revision).sha)
+            commit = str(api.repo_info(short, repo_type=repo_type, revision=revision).sha)
+            if not _COMMIT.fullmatch(commit):  # it becomes part of paths
+                raise HubError(f"{name}: the server names the commit {commit[:60]!r}; expected 40 hexadecimal digits")
+            return repo_type, short, commit
         except RepositoryNotFoundError:
             if repo_type == types[-1]:
                 raise
@@ -162,7 +188,7 @@ def _shown(short: str, repo_type: RepoType) -> str:
 def _api() -> tuple[Any, str]:
     """The library's client, and the address of the Hub: HF_ENDPOINT, or the public one."""
     switch_off()
-    endpoint = os.environ.get("HF_ENDPOINT", ENDPOINT).rstrip("/")
+    endpoint = (os.environ.get("HF_ENDPOINT") or ENDPOINT).rstrip("/")
     try:
         place = urlsplit(endpoint)
     except ValueError as error:

@@ -130,12 +130,12 @@ class LeRobotEnv(gymnasium.Env[dict[str, Any], Action]):
 
     def _write(self, metrics: dict[str, Any]) -> None:
         if self._results is not None:
-            line = json.dumps(self._info(seed=self._seed, **metrics))
+            line = json.dumps({"episode": self._episode, "seed": self._seed, **metrics})
             with writing(self._results, RunError), append(self._results) as file:
                 file.write(f"{line}\n".encode())
 
     def _info(self, **more: Any) -> dict[str, Any]:
-        return {"episode": self._episode, **more}
+        return {"episode_index": self._episode, **more}
 
     @property
     def _episode(self) -> int:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import hmac
-from collections.abc import Callable
-from http.cookies import CookieError, SimpleCookie
+from collections.abc import Callable, Collection
 from typing import Any, Final
-from urllib.parse import parse_qs
+from urllib.parse import parse_qs, quote, unquote
 
 from starlette.datastructures import Headers
 from starlette.responses import PlainTextResponse
@@ -26,10 +25,15 @@ class Guarded:
     header Origin is theirs, or by a name of theirs that stands for our address, whose header Host is theirs.
     """
 
-    def __init__(self, app: Any, port: int, host: str, token: str | None) -> None:
+    def __init__(self, app: Any, port: int, host: str, token: str | None, origins: Collection[str] = ()) -> None:
+        """`origins` are addresses of a proxy or a tunnel, by which browsers reach the page."""
         self._app, self._token = app, token
+        self._origins = {origin.rstrip("/").lower() for origin in origins}
+        self._cookie = f"{COOKIE}-{port}"  # a browser sends the cookies of a host to all of its ports
         names = {*_OURS, host, f"[{host}]"}
+        self._address = f"{host}:{port}" if host in names - {"", "0.0.0.0", "::"} else f"127.0.0.1:{port}"  # noqa: S104
         self._hosts = {f"{name}:{port}" for name in names} | (names if port == 80 else set())
+        self._hosts |= {origin.partition("://")[2] for origin in self._origins}
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
         """As an ASGI application."""
@@ -48,21 +52,24 @@ class Guarded:
     def _problem(self, headers: Headers, scope: Any) -> str:
         host = headers.get("host", "")
         if self._token is None and host not in self._hosts:
-            return f"this page is served at {min(self._hosts)}, not at {host[:80]!r}; open that address"
+            return (
+                f"this page is served at {self._address}, not at {host[:80]!r}; open that address, or, through a "
+                f"tunnel or a proxy, start it with --origin http://{host[:80]} or with a token"
+            )
         origin = headers.get("origin")
-        if origin is not None and origin.partition("://")[2] != host:
-            return "another page tried to use this one; open it by its own address"
+        if origin is not None and origin.partition("://")[2] != host and origin.lower() not in self._origins:
+            return (
+                "another page tried to use this one; open it by its own address, or, behind a proxy, start it with "
+                f"--origin {origin[:80]}"
+            )
         if self._token is not None and not self._knows(headers, scope):
             return "this page needs its token: open the address that the command printed, which ends in ?token=..."
         return ""
 
     def _knows(self, headers: Headers, scope: Any) -> bool:
         query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
-        try:
-            cookie = SimpleCookie(headers.get("cookie", "")).get(COOKIE)
-        except CookieError:
-            cookie = None
-        sent = [*query.get("token", []), *([cookie.value] if cookie else [])]
+        cookies = (part.strip().partition("=") for part in headers.get("cookie", "").split(";"))
+        sent = [*query.get("token", []), *(unquote(value) for name, _, value in cookies if name == self._cookie)]
         return any(hmac.compare_digest(each.encode("utf-8", "replace"), (self._token or "").encode()) for each in sent)
 
     def _marked(self, send: Callable[[Any], Any]) -> Callable[[Any], Any]:
@@ -77,7 +84,7 @@ class Guarded:
                     (b"cache-control", b"no-store"),
                 ]
                 if self._token is not None:
-                    cookie = f"{COOKIE}={self._token}; HttpOnly; SameSite=Strict; Path=/"
+                    cookie = f"{self._cookie}={quote(self._token, safe='')}; HttpOnly; SameSite=Strict; Path=/"
                     extra.append((b"set-cookie", cookie.encode()))
                 message = {**message, "headers": [*message.get("headers", []), *extra]}
             await send(message)

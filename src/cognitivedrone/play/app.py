@@ -14,6 +14,7 @@ from cognitivedrone.play.replay import Replay
 from cognitivedrone.play.server import serving_page
 from cognitivedrone.play.studio import Studio
 from cognitivedrone.serving.access import token_of
+from cognitivedrone.system import has_screen
 
 BROWSERS = ("xdg-open", "x-www-browser", "www-browser", "open", "wslview", "chromium", "firefox", "google-chrome")
 
@@ -41,7 +42,7 @@ def play(plan: PlayPlan, ready: Callable[[str], None], stop: threading.Event | N
 def _announce(plan: PlayPlan, address: str, ready: Callable[[str], None]) -> None:
     """Tell the address, and open it in this machine's browser, if it has one."""
     ready(address)
-    if plan.page.browser and any(map(shutil.which, BROWSERS)):
+    if plan.page.browser and has_screen() and any(map(shutil.which, BROWSERS)):
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
 
 

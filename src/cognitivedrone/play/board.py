@@ -16,7 +16,6 @@ from typing import Any, Final
 import numpy as np
 
 from cognitivedrone.apps.values import Step
-from cognitivedrone.control.planning import Plans
 from cognitivedrone.envs.track_runner import TrackRunner
 from cognitivedrone.errors import CognitiveDroneError
 from cognitivedrone.film.frame import Scene, scenes_of
@@ -28,7 +27,7 @@ from cognitivedrone.play.channels import Channels
 from cognitivedrone.play.chase import ChaseProcess, jpeg
 from cognitivedrone.policies.small import Small
 from cognitivedrone.sim.airframe import RACER, Airframe
-from cognitivedrone.tasks.missions import sub_goals
+from cognitivedrone.tasks.missions import told
 from cognitivedrone.types import CONTROL_HZ, Action, Event, FloatArray, Image, SeenPanel, SubGoal
 from cognitivedrone.vehicles.contract import Vehicle
 from cognitivedrone.world import geometry
@@ -68,7 +67,7 @@ class _Shown:
     scenes: Sequence[Scene]
     reasoner: Reasoner | None
     policy: object
-    plans: Plans = sub_goals
+    goals: Sequence[SubGoal] = ()
 
 
 class LiveBoard:
@@ -89,9 +88,9 @@ class LiveBoard:
         self._thread = threading.Thread(target=self._painter.run, args=(self._stopping,), name="page", daemon=True)
         self._thread.start()
 
-    def begin(self, vehicle: Vehicle, pilot: Pilot, plans: Plans) -> None:
+    def begin(self, vehicle: Vehicle, pilot: Pilot, goals: Sequence[SubGoal]) -> None:
         """As `Page`."""
-        self._restart(_Shown(vehicle.track_runner, (), pilot.reasoner, pilot.policy, plans))
+        self._restart(_Shown(vehicle.track_runner, (), pilot.reasoner, pilot.policy, goals))
 
     def wait_at(
         self, scene: Scene, image: Image, position: FloatArray, quaternion: FloatArray, pilot: Pilot | None
@@ -227,23 +226,16 @@ class _Painter:
             "policy_ms": round(1e3 * float(np.median(self._took)), 1) if self._took else None,
             "late": self._board.late,
             "taken": self._board.sticks.taken,
-            "goals": goals_of(shown.track, shown.plans),
+            "goals": goals_table(shown.goals, step.stage),
             **({"seen": []} if shown.track and shown.track.stage.landing else thoughts(shown.policy, shown.reasoner)),
             "events": [event_table(event) for event in list(self._board.events)],
         }
 
 
-def goals_of(track: TrackRunner | None, plans: Plans = sub_goals) -> list[list[str]]:
-    """The sub-goals of a track's mission, each with its state: done, doing or to do; empty if it has none."""
-    if track is None or track.task.mission is None:
-        return []
-    return goals_table(plans(track.task.mission), track.index)
-
-
 def goals_table(goals: Sequence[SubGoal], index: int) -> list[list[str]]:
     """Sub-goals, each with its state at a stage: done, doing or to do."""
     return [
-        [goal.instruction, "done" if number < index else "doing" if number == index else "to do"]
+        [told(goal), "done" if number < index else "doing" if number == index else "to do"]
         for number, goal in enumerate(goals)
     ]
 

@@ -22,6 +22,8 @@ class PageSpec(Options):
     """Port to listen on; 0 picks a free one."""
     token_file: Path | None = None
     """File with the token that browsers must send; otherwise the environment variable COGNITIVEDRONE_SERVER_TOKEN."""
+    origin: tuple[str, ...] = ()
+    """Addresses of a proxy or a tunnel by which browsers reach the page, such as https://drone.example."""
     browser: bool = True
     """Open the page in this machine's browser, if it has one."""
 

@@ -10,6 +10,7 @@ from typing import Any, Final
 from cognitivedrone.benchmark.runs.film import FILMS_FOLDER, film_episode
 from cognitivedrone.benchmark.scores.results import read_results
 from cognitivedrone.errors import ServerError, TaskError
+from cognitivedrone.files import check_no_link, reason_of
 from cognitivedrone.film.frame import OUTCOME_TEXTS
 from cognitivedrone.film.page import FILM_FILE
 from cognitivedrone.play.channels import Channels
@@ -49,7 +50,13 @@ class Replay(Controls):
         """As `Controls`."""
         if run not in range(len(self._folders)) or episode not in self._episodes:
             raise TaskError("there is no such film")
-        made = self._folders[run] / FILMS_FOLDER / f"{episode:04}" / FILM_FILE
+        name = f"{FILMS_FOLDER}/{episode:04}/{FILM_FILE}"
+        made = self._folders[run] / name
+        try:
+            for parent in (FILMS_FOLDER, f"{FILMS_FOLDER}/{episode:04}", name):
+                check_no_link(self._folders[run], parent)
+        except OSError as error:
+            raise TaskError(f"the film is not shown: {reason_of(error)}") from None
         with self._making:  # one at a time: two would be no faster
             if not made.is_file():
                 film_episode(self._folders[run], episode)

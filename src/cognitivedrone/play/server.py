@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final
+from urllib.parse import quote
 
 import uvicorn
 from starlette.applications import Starlette
@@ -153,7 +154,7 @@ def serving_page(spec: PageSpec, channels: Channels, controls: Controls, token: 
     """Serve the page in a thread during the block; gives its address. Raises `ServerError` if the port is taken."""
     listening = _listen(spec)
     port = listening.getsockname()[1]
-    app = Guarded(_App(channels, controls).app, port, spec.host, token)
+    app = Guarded(_App(channels, controls).app, port, spec.host, token, spec.origin)
     server = uvicorn.Server(
         uvicorn.Config(
             app, ws="websockets-sansio", ws_max_size=_MESSAGE_BYTES, ws_ping_interval=None,
@@ -166,7 +167,7 @@ def serving_page(spec: PageSpec, channels: Channels, controls: Controls, token: 
     host = "127.0.0.1" if spec.host in ("", "0.0.0.0", "::") else spec.host  # noqa: S104  (an address to open)
     shown = f"[{host}]" if ":" in host else host
     try:
-        yield f"http://{shown}:{port}/" + (f"?token={token}" if token else "")
+        yield f"http://{shown}:{port}/" + (f"?token={quote(token, safe='')}" if token else "")
     finally:
         server.should_exit = True
         thread.join(_STOP_S + 4)

@@ -65,6 +65,8 @@ class Studio(FlightControls):
         self._tasks = plan.scenario.tasks
         self._episode, self._seed, self._flights = 0 if named else DEFAULT_EPISODE, plan.scenario.seed, 0
         self._pictures: tuple[Picture | None, ...] = (None,) * PANELS
+        self._naming = threading.RLock()
+        """Held while pictures change: uploads come from several threads, and no two may take one name."""
         self._task: Task | None = None
         self._labels: str | Path | None = plan.scenario.labels
         self._record, self._target_shown, self._command = False, False, ""
@@ -120,17 +122,20 @@ class Studio(FlightControls):
 
     def _do_clear(self, values: dict[str, Any]) -> None:
         slot = int(values["slot"]) % PANELS
-        self._pictures = tuple(None if i == slot else each for i, each in enumerate(self._pictures))
+        with self._naming:
+            self._pictures = tuple(None if i == slot else each for i, each in enumerate(self._pictures))
         self._do_scene({"mode": "mine"})
 
     def _do_rename(self, values: dict[str, Any]) -> None:
         slot = int(values["slot"]) % PANELS
-        before = self._pictures[slot]
-        if before is not None:
+        with self._naming:
+            before = self._pictures[slot]
+            if before is None:
+                return
             taken = [each.name for i, each in enumerate(self._pictures) if each is not None and i != slot]
             after = renamed(self.out / _PICTURES, before, str(values.get("name", "")), taken)
             self._pictures = tuple(after if i == slot else each for i, each in enumerate(self._pictures))
-            self._do_scene({"mode": "mine"})
+        self._do_scene({"mode": "mine"})
 
     def _do_teach(self, _: dict[str, Any]) -> None:
         if self._lesson is not None and not self._lesson.done:
@@ -155,9 +160,10 @@ class Studio(FlightControls):
         """As `Controls`."""
         if slot not in range(PANELS):
             raise ServerError(f"there are {PANELS} panels")
-        taken = [each.name for i, each in enumerate(self._pictures) if each is not None and i != slot]
-        kept = keep_picture(self.out / _PICTURES, name, content, slot, taken)
-        self._pictures = tuple(kept if i == slot else each for i, each in enumerate(self._pictures))
+        with self._naming:
+            taken = [each.name for i, each in enumerate(self._pictures) if each is not None and i != slot]
+            kept = keep_picture(self.out / _PICTURES, name, content, slot, taken)
+            self._pictures = tuple(kept if i == slot else each for i, each in enumerate(self._pictures))
         if self.orders is None:
             self._jobs.put(lambda: self._change({"mode": "mine"}))
         else:

@@ -1,4 +1,4 @@
-"""Missions cut into sub-goals by a language model: its prompt, the JSON schema of its answer, and how that is read.
+"""Missions planned by a language model: its prompt, the JSON schema of its answer, and how that is read.
 
 The schema holds for every answer: unlike a reply about a gate, which is asked for twice a second, a plan is made once,
 on the ground, and nothing of it is guessed.
@@ -97,7 +97,7 @@ def _sub_goal(entry: object, which: str) -> SubGoal:
     what, otherwise = _sentence(entry, "what", which), _sentence(entry, "otherwise", which)
     if not what:
         raise ReasonerError("schema", f"{which} does not say what to fly to")
-    return SubGoal("fly", what, otherwise, frozenset(color for color in COLORS if color in avoid))
+    return SubGoal("fly", what, otherwise, avoid=frozenset(color for color in COLORS if color in avoid))
 
 
 def _pad(value: object, which: str) -> Color | None:

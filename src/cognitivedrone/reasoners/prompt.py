@@ -12,6 +12,7 @@ from typing import Any
 from cognitivedrone.errors import PluginError, ReasonerError
 from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.files.texts import decoded
+from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.types import COLORS, SHAPES, SIZES
 
 PLACEHOLDER = "{instruction}"
@@ -81,6 +82,19 @@ def load_prompt(path: Path | None = None) -> str:
     if PLACEHOLDER not in text:
         raise PluginError(f"prompt file {path} lacks {PLACEHOLDER}; write it where the instruction belongs")
     return text
+
+
+def load_extra(path: Path | None) -> dict[str, Any]:
+    """Fields of a JSON file for every request. Raises `PluginError` if it cannot be read or holds anything else."""
+    if path is None:
+        return {}
+    try:
+        found = parse_json(decoded(read_regular(path, MAX_PROMPT_BYTES)))
+    except (OSError, ValueError) as error:
+        raise PluginError(f"extra file {path} cannot be read: {error}") from None
+    if not isinstance(found, dict):
+        raise PluginError(f'extra file {path} holds no object; write one such as {{"top_p": 0.9}}')
+    return found
 
 
 def write_prompt(template: str, instruction: str) -> str:

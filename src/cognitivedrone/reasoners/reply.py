@@ -126,10 +126,10 @@ def unfinished(text: str, finish_reason: str) -> ReasonerError:
     )
 
 
-def quote(text: str) -> str:
+def quote(text: str, longest: int = 80) -> str:
     """The start of a reply on one line, for messages."""
     line = " ".join(text.split())
-    return repr(line if len(line) <= 80 else line[:77] + "...")
+    return repr(line if len(line) <= longest else line[: longest - 3] + "...")
 
 
 def _answer(text: str) -> str:

@@ -10,6 +10,7 @@ import contextlib
 import faulthandler
 import multiprocessing
 import signal
+import sys
 import time
 import traceback
 import warnings
@@ -29,6 +30,7 @@ from cognitivedrone.rollout import cards
 from cognitivedrone.rollout.cards import Cards
 from cognitivedrone.rollout.pool import Answer, CallClock, Item, Pool, Work, Worker, WorkerCrash, WorkerLost
 from cognitivedrone.system.processes import end_with_parent, starting
+from cognitivedrone.text.printable import visible
 
 JOIN_TIMEOUT_S = 5.0
 """Time that a worker may take to exit, s."""
@@ -82,6 +84,21 @@ class _Worker:
         self.waited_s = self.waited_s + passed_s if call and call == self.call else 0.0
         self.call = call
         return self.waited_s
+
+
+def no_processes() -> str:
+    """Why no process can be started from this one; empty if one can."""
+    if multiprocessing.current_process().daemon:
+        return "this process is itself a daemonic worker"
+    script = getattr(sys.modules.get("__main__"), "__file__", None)
+    if script is not None and not Path(script).exists():
+        return "the script comes from standard input"
+    return ""
+
+
+def say_in_process(why: str) -> None:
+    """Say that flights happen in this process after all."""
+    print(visible(f"flying in this process, because no other can be started: {why}"), file=sys.stderr)  # noqa: T201
 
 
 class ProcessPool(Pool[Item, Answer]):

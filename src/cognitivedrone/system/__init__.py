@@ -47,6 +47,13 @@ def refusal(what: str) -> str:
     return f"{what} needs Linux or macOS; on Windows, run it in WSL2 (wsl --install, then as on Ubuntu)"
 
 
+def has_screen() -> bool:
+    """Whether a browser has a window to open in: without one, it would take over the terminal."""
+    if sys.platform in ("win32", "darwin") or "WSL_DISTRO_NAME" in os.environ:
+        return "SSH_CONNECTION" not in os.environ
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
 def cores() -> int:
     """Processor cores that this process may use; all of the machine's where a system restricts no process."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

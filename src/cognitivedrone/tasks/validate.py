@@ -18,6 +18,7 @@ from cognitivedrone.layout import (
     START,
     START_HALF_EXTENT,
     choices,
+    is_clear,
 )
 from cognitivedrone.layout.obstacles import LANDMARK_SIDE, Solids, solids_of
 from cognitivedrone.tasks.directives import HOLD, declines, parse_directive
@@ -84,7 +85,7 @@ def check_gates(gates: tuple[Gate, Gate, Gate], where: str) -> None:
 def check_layout(layout: Layout, gates: tuple[Gate, Gate, Gate], where: str) -> None:
     """Raise `TaskError` unless the gates are inside the stage, above its floor, and left to right from the start.
 
-    Those that move are slow, and keep apart from each other.
+    They keep apart, and none hides another or is on the way to it. Those that move are slow.
     """
     for number, (place, gate) in enumerate(zip(layout, gates, strict=True), 1):
         lowest = LOWEST_M[gate.size]
@@ -102,14 +103,19 @@ def check_layout(layout: Layout, gates: tuple[Gate, Gate, Gate], where: str) -> 
                     + (f" for a {gate.size} gate" if name == "height" else "")
                 )
         _check_speed(place, f"{where}: gate {number}")
-    if any(place.sway for place in layout):
-        for first, second in ((0, 1), (0, 2), (1, 2)):
-            a, b = layout[first], layout[second]
-            if math.hypot(a.x - b.x, a.y - b.y) < 2 * GATE_ROOM[1] + a.sway + b.sway:
-                raise TaskError(f"{where}: gates {first + 1} and {second + 1} may meet on their ways; move them apart")
+    for first, second in ((0, 1), (0, 2), (1, 2)):
+        a, b = layout[first], layout[second]
+        if math.hypot(a.x - b.x, a.y - b.y) < 2 * GATE_ROOM[1] + a.sway + b.sway:
+            meet = "may meet on their ways" if a.sway or b.sway else "touch"
+            raise TaskError(f"{where}: gates {first + 1} and {second + 1} {meet}; move them apart")
     bearings = [math.atan2(place.y - START[1], place.x - START[0]) for place in layout]
     if not bearings[0] > bearings[1] > bearings[2]:
         raise TaskError(f"{where}: the gates of the layout must be numbered from left to right, as seen from the start")
+    if not is_clear(layout, board=False):
+        raise TaskError(
+            f"{where}: a gate of the layout hides another, is in its way or out of view, so that flights there could"
+            " not be judged; move them apart"
+        )
 
 
 def _check_speed(thing: Obstacle | GatePlace, which: str) -> None:

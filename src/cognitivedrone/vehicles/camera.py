@@ -231,7 +231,10 @@ class VideoCamera:
         except (av.error.FFmpegError, OSError, ValueError) as error:
             # What FFmpeg says of a frame beyond `max_pixels`, without a reason; broken frames are another error.
             too_large = isinstance(error, av.error.ArgumentError) and "avcodec_send_packet" in str(error)
-            why = f"cannot read {self._source}: {f'its frames are too large; {_LIMIT}' if too_large else error}"
+            what = f"its frames are too large; {_LIMIT}" if too_large else str(error)
+            if isinstance(error, av.error.ExitError):  # FFmpeg's word for a time limit of ours
+                what = f"it sent nothing for {self._config.silence_s:g} s; is it still connected?"
+            why = f"cannot read {self._source}: {what}"
         with self._news:
             self._over = why
             self._news.notify_all()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
+import re
 from dataclasses import dataclass
 from importlib import resources
 from io import BytesIO
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
 from cognitivedrone.errors import AppearanceError, did_you_mean
-from cognitivedrone.files import digest_of_file
+from cognitivedrone.files import digest_of_file, read_regular
 from cognitivedrone.pictures import read_picture
 from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.types import FloatArray, Image
@@ -35,6 +36,10 @@ SIZE: Final = (512, 256)
 """Width and height of a shipped panorama, px."""
 SETS: Final = ("training", "kept")
 """Names for several places at once: those that models are trained in, and those that none was."""
+_GPANO: Final = (
+    b"FullPanoWidthPixels", b"FullPanoHeightPixels", b"CroppedAreaLeftPixels", b"CroppedAreaTopPixels",
+    b"CroppedAreaImageWidthPixels", b"CroppedAreaImageHeightPixels",
+)  # fmt: skip
 _COLUMNS: Final = 24
 # Below the horizon, rings from nadir outwards. Quads that are much wider outside than inside would bend straight lines.
 _FLOOR_DEG: Final = (66.0, 48.0, 36.0, 27.0, 20.0, 15.0, 11.0, 8.2, 6.0, 4.4, 3.2)
@@ -102,10 +107,38 @@ def load_place(place: str) -> Place:
 def _read(path: Path) -> Image:
     """A user's panorama, (1024, 2048, 3)."""
     image = read_picture(path, "panorama", AppearanceError, OWN_SIZE[0], _MAX_BYTES, _MAX_PIXELS)
-    _check_form(path, image.width, image.height)
-    pixels = np.asarray(image.resize(OWN_SIZE, PillowImage.Resampling.LANCZOS))
+    part = _part_of_sphere(path, image.width, image.height)
+    _check_form(path, *part[:2])
+    pixels = np.asarray(_filled(image, *part))
     _check_content(path, pixels)
     return pixels
+
+
+def _part_of_sphere(path: Path, width: int, height: int) -> tuple[int, ...]:
+    """Width and height of the whole sphere, and which part of it a file is, left, top, width, height, px.
+
+    A phone writes it into the file (XMP, GPano); a picture without is the whole. Raises `AppearanceError`.
+    """
+    text = read_regular(path, _MAX_BYTES)
+    found = [re.search(rb"GPano:" + name + rb"(?:\s*=\s*[\"']|>)\s*(\d{1,7})", text) for name in _GPANO]
+    if not all(found):
+        return width, height, 0, 0, width, height
+    whole_w, whole_h, left, top, part_w, part_h = (int(each[1]) for each in found if each is not None)
+    if min(whole_w, whole_h, part_w, part_h) < 1 or left + part_w > whole_w or top + part_h > whole_h:
+        raise AppearanceError(
+            f"panorama {path} says that it is a part of a sphere that it does not fit; export it again"
+        )
+    return whole_w, whole_h, left, top, part_w, part_h
+
+
+def _filled(image: PillowImage.Image, whole_w: int, whole_h: int, *part: int) -> PillowImage.Image:
+    """A part of a sphere at its place in the whole, `OWN_SIZE`; its edges are drawn on over the rest."""
+    across, down = OWN_SIZE[0] / whole_w, OWN_SIZE[1] / whole_h
+    left, right = round(part[0] * across), round((part[0] + part[2]) * across)
+    top, bottom = round(part[1] * down), round((part[1] + part[3]) * down)
+    shown = image.convert("RGB").resize((max(right - left, 1), max(bottom - top, 1)), PillowImage.Resampling.LANCZOS)
+    sides = ((top, OWN_SIZE[1] - top - shown.height), (left, OWN_SIZE[0] - left - shown.width), (0, 0))
+    return PillowImage.fromarray(np.pad(np.asarray(shown), [(max(a, 0), max(b, 0)) for a, b in sides], mode="edge"))
 
 
 def _check_form(path: Path, width: int, height: int) -> None:

@@ -22,7 +22,7 @@ from cognitivedrone.tasks.families.mission_tasks import landing_task
 from cognitivedrone.tasks.families.symbols import RIVALS, distinct_animals
 from cognitivedrone.tasks.generate import Draw, Panel, Puzzle
 from cognitivedrone.tasks.matching import Match, best_scene
-from cognitivedrone.tasks.missions import is_mission, lands, problem_of, sub_goals
+from cognitivedrone.tasks.missions import is_mission, lands, sub_goals, told
 from cognitivedrone.tasks.people import TRAIN_CAST
 from cognitivedrone.tasks.scenario import suite_of
 from cognitivedrone.tasks.suites import drawn_task, suite_of_tasks, suite_of_tracks
@@ -96,8 +96,6 @@ def _mission_scene(
     own: Mapping[str, frozenset[str]],
 ) -> ChosenScene:
     """A track with a stage for every sub-goal of a mission; a landing without a pad has none."""
-    if problem := problem_of(goals):
-        raise NotUnderstood(f"the mission {problem}")
     rng = np.random.default_rng([*seed, 5])
     tasks: list[Task] = []
     summary, plain = [], ""
@@ -109,18 +107,23 @@ def _mission_scene(
                 task = landing_task(pad, int(rng.integers(3)), COLORS, f"made/{seed[0]}-{seed[1]}-pad")
                 tasks.append(replace(task, mission=asked))
             continue
-        request = understanding.understand(goal.instruction)
-        if not request.understood:
-            raise NotUnderstood(f"of sub-goal {number + 1}, {not_understood(request, understanding)}")
+        requests = [
+            understanding.understand(said) for said in (goal.instruction, goal.otherwise, goal.condition) if said
+        ]
+        for request in requests:
+            if not request.understood:
+                raise NotUnderstood(f"of sub-goal {number + 1}, {not_understood(request, understanding)}")
+        # Where something else is to be there, the scene is one without it.
+        request, hidden = (requests[1], requests[2].labels) if goal.condition else (requests[0], frozenset[str]())
         for again in range(_DRAWS):
             task = made_task(
                 request, (seed[0], seed[1] + 100 * number + 10_000 * again), frozenset().union(*own.values())
             )
-            if task.target is None or task.gates[task.target].color not in goal.avoid:
+            if hidden.isdisjoint(task.labels) and task.gates[task.target or 0].color not in goal.avoid:
                 break
         meant = _meant(request, task)
         plain = plain or f"Fly through {meant}"
-        summary.append(meant)
+        summary.append(told(goal) if goal.otherwise or goal.avoid else meant)
         tasks.append(replace(task, instruction=goal.instruction, mission=asked))
     if not tasks:
         raise NotUnderstood(f"{asked!r} names no gate to fly through and no pad; say what to fly to first")

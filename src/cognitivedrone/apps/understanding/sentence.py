@@ -14,6 +14,7 @@ _SHORTENED = (
     (r"\b(do|does|did|is|are|was|were|would|should|could|must|have|has)n'?t\b", r"\1 not"),
     (r"\b(?:ca|wo)n'?t\b|\bcannot\b", "can not"),
     (r"'(?:s|re|ve|ll|d|m)\b", ""),
+    (r"\bnon[- ]", "not "),
     (r"\b(go|fly|head|on|over|thru|through|me) 2 (?=(?:the|teh|that|this|a|an|my)\b)", r"\1 to "),
 )
 _CORRECTIONS = re.compile(

@@ -9,8 +9,9 @@ from __future__ import annotations
 import hashlib
 import shlex
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -26,6 +27,7 @@ from cognitivedrone.benchmark.runs.provenance import platform_facts
 from cognitivedrone.benchmark.runs.runner import Interrupted, results_folder
 from cognitivedrone.benchmark.scores.codec import dumps
 from cognitivedrone.benchmark.scores.results import SuiteFacts, versions, write_whole
+from cognitivedrone.benchmark.scores.transport import not_measured
 from cognitivedrone.control.async_reasoner import asking, check_guidance
 from cognitivedrone.control.calls import begin_stage, seed_of
 from cognitivedrone.data.episode import decode_image
@@ -79,6 +81,11 @@ class ReasonResults:
         """The scores."""
         return summarize_answers(self.answers)
 
+    @property
+    def not_measured(self) -> str:
+        """Why this is no measurement of the reasoner; empty if it is one."""
+        return not_measured(Counter(answer.fault or "" for answer in self.answers), len(self.answers))
+
 
 @dataclass(frozen=True, slots=True)
 class View:
@@ -121,7 +128,12 @@ def score_reasoner(plan: ReasonPlan, *, progress: bool = True) -> ReasonResults:
     reasoner = make_reasoner(plan.reasoner)
     if reasoner is None:
         raise PluginError(f"--reasoner {plan.reasoner} gives no answers to score; name a reasoner, such as oracle")
-    reasoner.check()
+    with closing(reasoner):
+        reasoner.check()
+        return _scored(reasoner, plan, job, progress, began)
+
+
+def _scored(reasoner: Reasoner, plan: ReasonPlan, job: Job, progress: bool, began: float) -> ReasonResults:
     out = out_of(plan)
     answers: list[Answer] = []
     with _open_answers(out, overwrite=plan.overwrite) as keep:

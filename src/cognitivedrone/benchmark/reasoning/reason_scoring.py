@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cognitivedrone.benchmark.scores.scoring import Interval, wilson
+from cognitivedrone.benchmark.scores.transport import TRANSPORT
 from cognitivedrone.errors import ReasonerFault
 from cognitivedrone.tasks.directives import declines, fitting_gate, parse_directive
 from cognitivedrone.types import ALL_CATEGORIES, Category, Gate
@@ -137,9 +138,10 @@ class ReasonSummary:
 
 def score_answers(answers: Sequence[Answer]) -> ReasonScore:
     """The score of any set of answers."""
+    faults = Counter(answer.fault for answer in answers if answer.fault is not None)
+    answers = [answer for answer in answers if answer.fault not in TRANSPORT]  # its server, not the reasoner
     n, right = len(answers), sum(answer.right.gate for answer in answers)
     given = [answer for answer in answers if answer.gate is not None]
-    faults = Counter(answer.fault for answer in answers if answer.fault is not None)
     return ReasonScore(
         n=n,
         right=right,

@@ -24,7 +24,8 @@ def reason_table(results: ReasonResults) -> RenderableType:
     table = new_table(f"{results.suite.name}: reasoner {shown_address(results.plan.reasoner)}", *COLUMNS, gap=0)
     table.add_row("overall", *_cells(summary.overall), style="bold", end_section=True)
     add_parts(table, summary.categories, summary.families, _cells)
-    return Group(table, "", *_notes(results))
+    first: list[RenderableType] = [Text(results.not_measured, style="bold red"), ""] if results.not_measured else []
+    return Group(*first, table, "", *_notes(results))
 
 
 def _cells(score: ReasonScore) -> tuple[str, ...]:
@@ -47,7 +48,10 @@ def _notes(results: ReasonResults) -> Iterator[Text]:
     if summary.overall.faults:
         kinds = ", ".join(f"{words(kind)} {count}" for kind, count in summary.overall.faults.items())
         first = next(answer for answer in results.answers if answer.fault is not None)
-        yield Text(f"faults, counted as not right: {kinds}; the first at {first.task}: {first.message}", style="yellow")
+        yield Text(
+            f"faults, counted as not right: {kinds}; the first at {first.task}: {first.message}",
+            style="yellow",
+        )
     if summary.overall.index_given:
         given, right = summary.overall.index_given, summary.overall.index_right
         yield Text(f"answers that report the gate's index: {given}, of them right: {right}")

@@ -63,7 +63,8 @@ def results_table(results: Results, rule: Rule | None = None) -> RenderableType:
         noun = "family" if left_out == 1 else "families"
         explained.append(Text(f"{left_out} {noun} of fewer than {FAMILY_TASKS} tasks: in the report", style="dim"))
     failed = f"every episode ended in an error of the policy: {results.policy_failure}"
-    first: list[RenderableType] = [Text(failed, style="bold red"), ""] if results.policy_failure else []
+    problem = failed if results.policy_failure else results.not_measured
+    first: list[RenderableType] = [Text(problem, style="bold red"), ""] if problem else []
     return Group(
         *first,
         _sentence(results, summary, rule),

@@ -36,7 +36,7 @@ from cognitivedrone.files import check_no_link, safe_name, writing
 from cognitivedrone.pilot import Pilot, on_card
 from cognitivedrone.rollout import cards
 from cognitivedrone.rollout.pool import InProcess, Pool, WorkerCrash
-from cognitivedrone.rollout.process_pool import ProcessPool
+from cognitivedrone.rollout.process_pool import ProcessPool, no_processes, say_in_process
 from cognitivedrone.rollout.ray_pool import RayPool
 from cognitivedrone.system.interrupts import watched
 from cognitivedrone.terminal import console
@@ -146,6 +146,9 @@ def _pool_of(flights: Flights, most: int, pilot: Pilot | None) -> Pool[Wanted, R
     if plan.executor == "ray":
         gpus = 0.0 if plan.gpus_per_worker is None and not heavy else plan.gpus_per_worker
         return RayPool(flights, plan.workers, most, cpus=plan.cpus_per_worker, gpus=gpus)
+    if why := no_processes():
+        say_in_process(why)
+        return InProcess(flights)
     return ProcessPool(flights, min(plan.workers or cards.here().workers(on_card=heavy), most))
 
 

@@ -14,6 +14,7 @@ from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.scores.codec import decode, dumps, encode, read_document
 from cognitivedrone.benchmark.scores.published import are_papers_tasks, paper_rows
 from cognitivedrone.benchmark.scores.scoring import RULES, Summary, summarize
+from cognitivedrone.benchmark.scores.transport import not_measured
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import replace_file, writing
 from cognitivedrone.plan import Rule
@@ -105,6 +106,12 @@ class Results:
         """The first error, if every episode ended in an error of the policy; empty otherwise."""
         failed = [any(stage.outcome == "policy_error" for stage in episode.stages) for episode in self.episodes]
         return self.episodes[0].message if failed and all(failed) else ""
+
+    @property
+    def not_measured(self) -> str:
+        """Why the run is no measurement of its reasoner; empty if it is one, or has none."""
+        told = self.summary().overall.reasoner
+        return "" if told is None else not_measured(told.faults, told.answers + sum(told.faults.values()))
 
 
 def versions() -> dict[str, str]:

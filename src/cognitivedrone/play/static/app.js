@@ -8,6 +8,7 @@ const make = (tag, attributes = {}, ...children) => {
   made.append(...children);
   return made;
 };
+$("refused").remove();
 const state = { session: {}, scene: { gates: [] }, live: {}, path: [], traces: [], frame: null, socket: null };
 
 // --- the connection: everything is sent again after a reload or a break

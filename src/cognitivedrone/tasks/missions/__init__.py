@@ -1,14 +1,14 @@
-"""Missions: one sentence for a whole flight, cut into sub-goals, one for each stage. Pure text."""
+"""Missions: one sentence for a whole flight, read into sub-goals, one for each stage. Pure text."""
 
 from cognitivedrone.tasks.missions.corrections import rejects
-from cognitivedrone.tasks.missions.cutting import (
-    LONGEST,
+from cognitivedrone.tasks.missions.parts import LONGEST, lands, pad_directive
+from cognitivedrone.tasks.missions.reading import (
     forbidden_colors,
     is_mission,
-    lands,
-    pad_directive,
     problem_of,
+    read,
     sub_goals,
+    told,
 )
 
 __all__ = [
@@ -18,6 +18,8 @@ __all__ = [
     "lands",
     "pad_directive",
     "problem_of",
+    "read",
     "rejects",
     "sub_goals",
+    "told",
 ]

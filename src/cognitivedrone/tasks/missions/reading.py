@@ -1,0 +1,312 @@
+"""A mission read as a whole: its sub-goals, or what of it was not understood.
+
+What is cut into parts must be understood to the last word: a word of a landing, a condition, a prohibition or a count
+that no reading has a place for is not flown as a part of a goal. A sentence of one goal is not cut: a reasoner reads
+it whole.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from importlib import resources
+from typing import Any, Final
+
+from lark import Lark, Token, Tree
+from lark.exceptions import UnexpectedInput
+from lark.lexer import Lexer
+
+from cognitivedrone.tasks.missions.parts import (
+    IT,
+    LONGEST,
+    OPENING,
+    SAY,
+    NotFlownError,
+    flown,
+    lands,
+    objects_of,
+    pad_directive,
+    pad_of,
+    said_in,
+    sentence_of,
+)
+from cognitivedrone.tasks.missions.phrases import COLOR_WORDS, DESCRIBES, GO, LOOK, NEGATION, STRANGE, phrases
+from cognitivedrone.types import COLORS, Color, SubGoal
+
+LONGEST_SENTENCE: Final = 2000
+"""Characters of a mission."""
+_SIGNS = frozenset(
+    "AFTER BEFORE BEFORE_THAT BUT_FIRST DONE FIRST IF IF_ANY IN_ORDER LAND NEVER THEN TIMES".split()  # noqa: SIM905
+)
+"""Phrases without which a sentence is no mission."""
+_CALCULATES = re.compile(
+    r"^(?:and\s+|you\s+)?(?:subtract|multiply|divide|take\s+(?:away|off|\w+\s+from|\w+,?$)|add|plus|minus|less|times|"
+    r"double|halve|decide|evaluate|compute|calculate|solve|work out|figure out)\b|"
+    r"\b(?:take|knock|put|give|bump|have|had|ate|left)\b.*\b(?:away|off|back|up|left|out|top)(?: again)?\W*$|"
+    r"\b(?:your head|the result(?! of)|your number)\b|^(?:the\s+)?(?:board|result|answer|gate)\W*$|go on\W*$",
+    re.I,
+)
+"""Said of calculations, which have steps, too."""
+_NAMED = re.compile(
+    rf"(?:{GO}|the|a|an|any|some|whatever|whoever|whichever|what|who|come|back|that (?:with|of|showing))\b|\W*\d", re.I
+)
+_PLACES = re.compile(
+    r"\b(?:heli)?pads?\b|\b(?:otherwise|else|if not)\b,?\s+(?:there\s+)?(?:to\s+)?(?:the|an?|fly|go)\b", re.I
+)
+"""Words of a landing and of a condition that are never those of a thing."""
+_BANS = re.compile(
+    r"\b(?:off limits|banned|taboo|not allowed|forbid\w*|prohibit\w*|mind the|watch out|careful|only (?:through|via)|"
+    rf"always (?:through|via)|other way a?round|reverse|backwards|vice versa|but (?:the )?(?:{LOOK}))\b",
+    re.I,
+)
+"""Words of a prohibition in other words."""
+_MOVES = re.compile(
+    rf"\b{NEGATION}\b(?:\W+\w+)?\W+(?:going|flying|passing|through|thru|go|fly|use|using|enter\w*)\b", re.I
+)
+"""A prohibition inside a goal."""
+_OPPOSES = re.compile(rf"\b{NEGATION}\b[\w\s]*\b(?:{LOOK})\b|(?<!anything )(?<!everything )\bbut\b(?! not\b)", re.I)
+"""A look that is denied, or another thought, where no thing is described."""
+_EXCEPTS = re.compile(
+    r"\W*(?:(?:and|but|aber|mais)\s+)?(?:(?:not|no)(?! (?:through|go|fly))|except|without|nicht|pas)\b", re.I
+)
+"""After a landing: said of the pad, rather than of gates."""
+_IDLE = re.compile(r"(?:fly to )?(?:stop|wait|hover|halt|stay|pause|rest)\b(?:\s+(?:here|there|for|until)\b.*)?", re.I)
+"""What no gate shows."""
+_REFUSES = re.compile(
+    r"\W*(?:please\s+)?(?:do not|don'?t|never)\s+(?:fly|go|head|move|start|take off|land)\b[^,;.]*\W*", re.I
+)
+"""Says what is not to be done, and nothing else."""
+_ROUTE = re.compile(r"\W*(?:your|the)?\s*(?:first|route|tour|order|mission|start|begin)\b", re.I)
+_SOMEBODY = re.compile(r"(?:you|it|he|she|they|we|i|one|people|who|that|which)\b(?! (?:with|of|showing)\b)", re.I)
+
+
+class _Phrases(Lexer):
+    """Hands on the phrases that were found."""
+
+    def __init__(self, lexer_conf: object) -> None:
+        del lexer_conf
+
+    def lex(self, data: Sequence[Token]) -> Iterator[Token]:  # type: ignore[override]  # no text
+        """The phrases as tokens of the parser."""
+        return iter(data)
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What a sentence asks for."""
+
+    goals: tuple[SubGoal, ...]
+    """In their order; the sentence itself if it is no mission, or was not understood."""
+    problem: str = ""
+    """Why it is not flown, in words that follow "the mission"; empty if it was understood."""
+
+
+@functools.cache
+def _parser() -> Lark:
+    return Lark(
+        (resources.files(__package__) / "mission.lark").read_text("utf-8"),
+        parser="earley",
+        lexer=_Phrases,
+        propagate_positions=True,
+        maybe_placeholders=False,
+    )
+
+
+@functools.lru_cache(maxsize=512)
+def read(sentence: str) -> Reading:
+    """The mission that a sentence is."""
+    text = " ".join(sentence.replace("\u2019", "'").split())
+    alone = (SubGoal("fly", sentence),)
+    if len(text) > LONGEST_SENTENCE:
+        return Reading(alone, f"has {len(text)} characters; say it in {LONGEST_SENTENCE}")
+    tokens = list(phrases(text))
+    names = [token.type for token in tokens]
+    if not _SIGNS & set(names) and not _PLACES.search(text) and not _REFUSES.fullmatch(text):
+        return Reading(alone)
+    sure = bool({"LAND", "IF", "IF_ANY"} & set(names) and not re.search(r"\bwrong\b", text, re.I))
+    sure |= _PLACES.search(text) is not None or _REFUSES.fullmatch(text) is not None
+    sure |= {"NEVER", "LOOKS", "THEN", "FIRST", "SEP"}.issuperset(names)
+    steps = sum(name in ("THEN", "FIRST") for name in names[:-1])
+    try:
+        tree = _parser().parse(tokens)  # phrases, no text
+        goals = _goals(tree, text)
+    except NotFlownError as error:
+        return Reading(alone, str(error))
+    except UnexpectedInput as error:
+        if sure or steps > 1 or (steps and ({"NOT", "NEVER", "CORRECTION"} & set(names) or _BANS.search(text))):
+            return Reading(
+                alone, _left_over(text, getattr(error.token, "start_pos", None) if hasattr(error, "token") else None)
+            )
+        return Reading(alone)
+    if goals is None and (sure or (steps and ("NEVER" in names or _BANS.search(text)))):
+        return Reading(alone, _left_over(text, 0))
+    if goals is None or not is_mission(goals):
+        return Reading(alone, _left_over(text, 0) if sure else "")
+    return Reading(goals, problem_of(goals))
+
+
+def sub_goals(sentence: str) -> tuple[SubGoal, ...]:
+    """The sub-goals of a sentence in their order; at least one, which is the sentence itself if it is no mission."""
+    return read(sentence).goals
+
+
+def is_mission(goals: Sequence[SubGoal]) -> bool:
+    """Whether sub-goals are more than one plain sentence."""
+    return len(goals) > 1 or goals[0] != SubGoal("fly", goals[0].instruction)
+
+
+def problem_of(goals: Sequence[SubGoal]) -> str:
+    """Why sub-goals cannot be flown, in words that follow "the mission"; empty if they can."""
+    if len(goals) > LONGEST:
+        return f"has {len(goals)} sub-goals; say at most {LONGEST} at a time"
+    if any(goal.kind == "land" for goal in goals[:-1]):
+        return "goes on after the landing; let it end there"
+    for number, goal in enumerate(goals, 1):
+        if goal.kind == "land" and not lands(goal.instruction)[0]:
+            return f"lands by {goal.instruction!r}; write it as {pad_directive('red')!r}"
+        if goal.kind == "land":
+            continue
+        for said in filter(None, (goal.instruction, goal.otherwise, goal.condition)):
+            head = DESCRIBES.split(said, maxsplit=1)[0]  # what describes a thing may deny and oppose
+            if strange := STRANGE.search(said) or _MOVES.search(said) or _OPPOSES.search(head) or _IDLE.fullmatch(said):
+                return f"has {strange[0]!r} in sub-goal {number}, {said!r}, which is not understood; {SAY}"
+            if color := next((color for color in COLORS if color in goal.avoid and _asks_for(said, color)), None):
+                return f"asks for the {color} gate and forbids it; leave out one of the two"
+        if goal.avoid.issuperset(COLORS):
+            return "forbids every gate; leave one that it may fly through"
+    return ""
+
+
+def told(goal: SubGoal) -> str:
+    """A sub-goal as it was understood, for people."""
+    never = f", never through {' or '.join(color for color in COLORS if color in goal.avoid)}" if goal.avoid else ""
+    if not goal.otherwise:
+        return goal.instruction + never
+    test = f"{goal.condition} is possible: " if goal.condition else ""
+    said = (
+        f"if {test}{goal.instruction}, otherwise: {goal.otherwise}"
+        if test
+        else f"{goal.instruction}, or else: {goal.otherwise}"
+    )
+    return said + never
+
+
+def _asks_for(said: str, color: Color) -> bool:
+    """Whether a goal is a gate of a colour, not a thing of it."""
+    words = "|".join(word for word, of in COLOR_WORDS.items() if of == color)
+    gate = rf"\b(?:{words})\b(?=[\w\s]*\b(?:gate|one|triangle|square|circle|ring|hoop|frame)\b|(?:\s+(?:{LOOK}))*\W*$)"
+    wanted = re.split(rf"\b{NEGATION}\b", said, maxsplit=1, flags=re.I)[0]
+    return re.search(gate, wanted, re.I) is not None
+
+
+def forbidden_colors(mission: str) -> frozenset[Color]:
+    """The colours of gates that a mission says are never to be flown through."""
+    return frozenset(color for goal in read(mission).goals for color in goal.avoid)
+
+
+def _left_over(text: str, at: int | None) -> str:
+    """What was not understood of a sentence from the place `at`, or at its end."""
+    at = len(text) if at is None else at
+    head, rest = text[:at].strip(" ,;."), text[at:].strip(" ,;.")
+    understood = f"was understood up to {head!r}; not understood: " if head else "was not understood: "
+    return f"{understood}{repr(rest) if rest else 'how it ends'}; {SAY}"
+
+
+def _goals(tree: Tree[Any], text: str) -> tuple[SubGoal, ...] | None:
+    """The sub-goals of a parsed sentence; none if it is rather a calculation, or a story."""
+    goals: list[SubGoal] = []
+    avoid, things = set[Color](), list[str]()
+    listed = False
+    first = next((child for child in tree.children if isinstance(child, Tree)), None)
+    if first is not None and first.data == "forbidden":
+        rest = text[first.meta.end_pos :]
+        if not re.match(rf"\s*[.;!:]|\W*(?:and\s+)?(?:(?:but|just|only)\s+)?(?:first|then|{GO})\b", rest, re.I):
+            if not re.search(rf"\b(?:{LOOK})\b", said_in(first, text), re.I) and not next(
+                tree.find_data("landing"), None
+            ):
+                return None  # "skip the drum, skip the P": one goal in other words
+            raise NotFlownError(f"forbids {said_in(first.children[1], text)!r}, and perhaps what follows; {SAY}")
+    for item in _items(tree):
+        if item.data == "forbidden":
+            colors, others = objects_of(said_in(item.children[1], text))
+            if goals and goals[-1].instruction == pad_directive(None) and _EXCEPTS.match(said_in(item, text)):
+                raise NotFlownError(
+                    f"lands, and then says {said_in(item, text)!r}; say 'land on a pad that is not red'"
+                )
+            avoid, things = avoid | colors, things + others
+            continue
+        if item.data == "landing":
+            goals.append(SubGoal("land", pad_directive(pad_of(item, text))))
+            continue
+        step = item
+        while step.data in ("listed", "step"):
+            step = [child for child in step.children if isinstance(child, Tree)][-1]
+        if item.data == "listed" and IT.fullmatch(said_in(step, text)):
+            continue  # "wherever the cow is, go there"
+        listed |= item.data == "listed"
+        goals += flown(step, text, goals)
+    if in_order := next(tree.find_data("list"), None):
+        goals[:] = [SubGoal("fly", sentence_of(part)) for part in _listed(said_in(in_order, text))]
+    if _is_no_mission(tree, text, goals, listed=listed):
+        return None
+    if any(
+        re.search(rf"\b{re.escape(OPENING.sub('', thing))}\b", goal.instruction, re.I)
+        for thing in things
+        for goal in goals
+    ):
+        raise NotFlownError(f"asks for {' and '.join(map(repr, things))} and forbids it; leave out one of the two")
+    but = f", but not {' or '.join(things)}" if things else ""
+    return tuple(
+        replace(
+            goal,
+            instruction=goal.instruction + but,
+            otherwise=goal.otherwise and goal.otherwise + but,
+            avoid=frozenset(color for color in COLORS if color in avoid),
+        )
+        if goal.kind == "fly"
+        else goal
+        for goal in goals
+    )
+
+
+def _items(tree: Tree[Any]) -> Iterator[Tree[Any]]:
+    """The steps, landings and prohibitions of a sentence in the order in which they are to be done."""
+    for child in tree.children:
+        if isinstance(child, Tree):
+            if child.data in ("turned", "in_turn", "list"):
+                parts = [part for part in child.children if isinstance(part, Tree)]
+                yield from reversed(parts) if child.data == "turned" else parts
+            else:
+                yield child
+
+
+def _is_no_mission(tree: Tree[Any], text: str, goals: Sequence[SubGoal], *, listed: bool) -> bool:
+    """Whether the parts are rather the steps of a calculation or a story than goals."""
+    flown = [goal.instruction.removeprefix("Fly to ") for goal in goals if goal.kind == "fly"]
+    marks = {token.type for token in tree.scan_values(lambda token: isinstance(token, Token))}
+    if any(map(_CALCULATES.search, flown)):
+        return True
+    landing = any(goal.kind == "land" for goal in goals)
+    directed = re.match(rf"{GO}\b", said_in(next(_items(tree)), text), re.I) is not None
+    if listed:
+        short = all(len(part.split()) <= 5 for part in flown)
+        named = all(re.match(rf"(?:{GO}|the|an?)\b", part, re.I) for part in flown)
+        return not (landing and short) and not (named and directed) and not _ROUTE.match(text)
+    if (
+        len(flown) != 2
+        or landing
+        or directed
+        or marks & {"FIRST", "TIMES", "IF", "IF_ANY", "NEVER", "DONE", "AFTER", "BEFORE"}
+    ):
+        return False
+    one, two = (part.split() for part in flown)
+    clear = _NAMED.match(flown[1]) or one[0] == two[0] or (len(two) < 3 and not two[-1].endswith("s"))
+    return not clear or len(one) > 6 or len(two) > 6 or bool(_SOMEBODY.match(flown[0]) or _SOMEBODY.match(flown[1]))
+
+
+def _listed(said: str) -> list[str]:
+    """The parts of a list: "the apple, the banana and the cherry"."""
+    parts = re.split(r",\s*(?:and\s+)?|\s+and\s+", re.sub(r",?\s*in (?:that|this|the given) \w+$", "", said))
+    return [re.sub(rf"^(?:(?:please|give me|i want|{GO})\s+)+", "", part) for part in parts]
