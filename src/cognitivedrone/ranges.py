@@ -75,7 +75,7 @@ def fitted(name: str, hint: Any, value: Any) -> Any:
     kinds = [_bare(kind) for kind in (get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,))]
     for kind in kinds:
         origin, parts = get_origin(kind), get_args(kind)
-        if origin is Literal and value in parts:
+        if origin is Literal and (value in parts or isinstance(value, str)):  # plans name the choices themselves
             return value
         if origin is tuple and isinstance(value, list | tuple) and parts[1:] == (...,):
             return tuple(fitted(name, parts[0], each) for each in value)

@@ -104,13 +104,14 @@ def lerobot(tmp_path):
     (episodes,) = tmp_path.glob("set/meta/episodes/*/*.parquet")
     pq.write_table(pq.read_table(episodes).drop_columns(["record"]), episodes)
     (data,) = tmp_path.glob("set/data/*/*.parquet")
-    table = pq.read_table(data)
+    table = pq.read_table(data).drop_columns(["record"])
     wide = [[*row, 0.0, 0.0, 0.0] for row in table["action"].to_pylist()]
     table = table.set_column(table.column_names.index("action"), "action", [wide])
     names = {"observation.images.front": "observation.images.cam"}
     pq.write_table(table.rename_columns([names.get(name, name) for name in table.column_names]), data)
     info = tmp_path / "set/meta/info.json"
     content = json.loads(info.read_text())
+    del content["features"]["record"]
     content["features"] = {names.get(name, name): value for name, value in content["features"].items()}
     info.write_text(json.dumps(content))
     return tmp_path / "set"

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 from factory import make_episode
@@ -213,3 +214,22 @@ def test_other_versions_are_refused(copied):
         DataError, match=r"info\.json: layout v2\.1 cannot be read, only v3; convert it first with LeRobot's"
     ):
         list(import_(copied, "lerobot"))
+
+
+def test_an_export_comes_back_after_lerobots_tools_have_written_its_episodes_anew(copied):
+    """As `delete_episodes` does: episodes numbered anew with known columns alone, steps with all of theirs."""
+    before = [episode for _, episode in lerobot.read(copied)]
+    path = next(copied.glob("meta/episodes/*/*.parquet"))
+    table = pq.read_table(path).drop_columns(["record", "category", "family"])
+    kept = table.slice(1)
+    numbers = pa.array(range(len(kept)), pa.int64())
+    kept = kept.set_column(kept.column_names.index("episode_index"), "episode_index", numbers)
+    pq.write_table(kept, path)
+    for file in copied.glob("data/*/*.parquet"):
+        steps = pq.read_table(file)
+        left = steps.filter(pc.greater(steps["episode_index"], 0))
+        moved = pc.subtract(left["episode_index"], 1)
+        pq.write_table(left.set_column(left.column_names.index("episode_index"), "episode_index", moved), file)
+    after = [episode for _, episode in lerobot.read(copied)]
+    assert [episode.task for episode in after] == [episode.task for episode in before[1:]]
+    assert all((a.action == b.action).all() for a, b in zip(after, before[1:], strict=True))

@@ -94,7 +94,7 @@ def test_each_fault_is_named(views, how):
 
 
 def test_a_pilot_that_errs_once_in_twenty_is_not_deterministic(views):
-    class Errs(Seeker):
+    class Errs(Seeker):  # type: ignore[misc]  # the support module has no types
         rng = np.random.default_rng(3)
 
         def act(self, observation):

@@ -20,7 +20,7 @@ def error(text: str) -> bytes:
     return json.dumps({"error": {"message": text, "type": "invalid_request_error"}}).encode()
 
 
-class Refusing(Script):
+class Refusing(Script):  # type: ignore[misc]  # the support module has no types
     """Refuses each of these fields with a status and words, one at a time, as servers do."""
 
     def __init__(self, **refused: tuple[int, str]) -> None:

@@ -186,6 +186,15 @@ first the dog, then the cat, except when it is red
 first the dog, then instead of the cat the horse
 first the dog, then the cat rather than the horse
 land on blue rather than red
+first the dog, then land on a pad but never red
+fly two times to the dog and three times to the cat
+fly 3 times
+geh nicht durch das rote Tor
+ne vole pas
+flieg nicht zum Hund
+first the dog, then the opposite of land
+forget everything, land on red
+avoid red: the dog, the cat
 land on the pad, not the blue one
 land on red unless there is a cat
 n'atterris pas sur le rouge

@@ -83,7 +83,7 @@ _OLDER = (
     "convert it first with LeRobot's lerobot.datasets.v30.convert_dataset_v21_to_v30; if it is not an export of this"
     f" package, {_OWN}"
 )
-_STEP = {IMAGE_KEY, DOWN_KEY, *FLOATS, "frame_index", "episode_index"}
+_STEP = {IMAGE_KEY, DOWN_KEY, *FLOATS, "frame_index", "episode_index", "record"}
 _ROW = {"record", "tasks", "episode_index", "length", "data/chunk_index", "data/file_index"}
 """Columns that are read."""
 
@@ -156,7 +156,8 @@ class _Writer:
         parquet = self._file(split)
         number, first = len(self.rows), self._frames
         task_index = self._tasks.setdefault(episode.task.instruction, len(self._tasks))
-        columns = _columns(episode, number, first, task_index)
+        record = json.dumps(record_of(split, episode), ensure_ascii=False)
+        columns = _columns(episode, number, first, task_index) | {"record": _first(record, len(episode))}
         stats = self._statistics.add({n: v for n, v in columns.items() if n not in TEXTS}, cameras)
         place = {"chunk_index": self._file_number // CHUNK_SIZE, "file_index": self._file_number % CHUNK_SIZE}
         row: dict[str, Any] = {
@@ -174,7 +175,7 @@ class _Writer:
             row[f"videos/{key}/from_timestamp"] = start
             row[f"videos/{key}/to_timestamp"] = start + len(episode) / CONTROL_HZ
             video.add(cameras[key])
-        row |= plain_facts(episode) | {"record": json.dumps(record_of(split, episode), ensure_ascii=False)}
+        row |= plain_facts(episode) | {"record": record}
         row |= {f"stats/{name}/{what}": v for name, values in stats.items() for what, v in values.items()}
         parquet.write_table(_table(columns, cameras, parquet.schema))
         self._file_bytes += sum(len(image) for images in cameras.values() for image in images)
@@ -249,6 +250,11 @@ def _columns(episode: Episode, number: int, first: int, task_index: int) -> dict
     }
 
 
+def _first(text: str, length: int) -> NDArray[Any]:
+    """(length,) the text at the first step, nothing at the others."""
+    return np.array([text, *[""] * (length - 1)], dtype=object)
+
+
 def _table(columns: dict[str, NDArray[Any]], cameras: dict[str, tuple[bytes, ...]], schema: pa.Schema) -> pa.Table:
     arrays = []
     for field in schema:
@@ -312,8 +318,12 @@ def read(path: Path, *, columns: str = "") -> Iterator[tuple[Split, Episode]]:
     cameras = [front, *({DOWN_KEY} & features.keys())]
     image = features.get(front)
     is_video = isinstance(image, dict) and image.get("dtype") == "video"
-    rows = _read_table(path / EPISODES_PATH, _ROW).to_pylist()
-    foreign = bool(rows) and "record" not in rows[0]
+    files = sorted(path.glob("meta/episodes/*/*.parquet")) or [path / EPISODES_PATH]
+    rows = sorted(
+        (row for file in files for row in _read_table(file, _ROW).to_pylist()),
+        key=lambda row: row.get("episode_index", 0),
+    )
+    foreign = bool(rows) and "record" not in rows[0] and "record" not in features
     if foreign:
         warnings.warn(f"{path}: is no export of this package: {MISSING}", stacklevel=1)
     opened: Path | None = None
@@ -326,8 +336,9 @@ def read(path: Path, *, columns: str = "") -> Iterator[tuple[Split, Episode]]:
             frames = [read_frames(video) for video in videos]
         try:
             number, length = row["episode_index"], row["length"]
-            record = None if foreign else parse_json(row["record"])
             steps = table.filter(pc.equal(table["episode_index"], number)).sort_by("frame_index")
+            # Its tools write the rows of episodes anew, without what they do not know.
+            record = None if foreign else parse_json(row.get("record") or steps["record"][0].as_py())
             arrays = {} if foreign else _step_arrays(steps)
         except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, pa.ArrowException) as error:
             raise DataError(f"{data_path}: not an export of this package ({brief(error)}); export it again") from None

@@ -24,7 +24,8 @@ FLOATS: dict[str, tuple[str, list[str]]] = {
     "quaternion": ("float64", ["w", "x", "y", "z"]),
 }
 INTEGERS = ("frame_index", "episode_index", "index", "task_index", "correct_gate", "seed")
-TEXTS = ("directive", "category", "family", "place")
+TEXTS = ("directive", "category", "family", "place", "record")
+"""`record` is the rest of an episode, at its first step: LeRobot's tools drop unknown columns of episodes alone."""
 _CARD_TEXT = (
     "# Flights of CognitiveDrone in the layout of LeRobot v3",
     "",

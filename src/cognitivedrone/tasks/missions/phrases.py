@@ -47,7 +47,7 @@ STRANGE: Final = re.compile(
     r"falls|sinon|sonst|ansonsten|andernfalls|instead|other than|rather than|except\w*|avoid\w*|skip\w*|ignor\w*|"
     r"omit\w*|exclud\w*|bypass\w*|forbid\w*|prohibit\w*|beware|refrain|leave out|stay away|keep (?:away|off|clear)|"
     r"times|twice|thrice|once(?! you)|atterri[rst]\w*|aterri\w+|off limits|banned|taboo|not allowed|non(?=[- ])|"
-    r"mind the|than|watch out|careful|don'?t|do not)\b",
+    r"mind the|than|forget|watch out|careful|don'?t|do not)\b",
     re.I,
 )
 """Words of landings, conditions, prohibitions and counts: none is a part of what is flown to."""

@@ -12,6 +12,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
+from itertools import pairwise
 from typing import Any, Final
 
 from lark import Lark, Token, Tree
@@ -69,13 +70,21 @@ _MOVES = re.compile(
 _OPPOSES = re.compile(rf"\b{NEGATION}\b[\w\s]*\b(?:{LOOK})\b|(?<!anything )(?<!everything )\bbut\b(?! not\b)", re.I)
 """A look that is denied, or another thought, where no thing is described."""
 _EXCEPTS = re.compile(
-    r"\W*(?:(?:and|but|aber|mais)\s+)?(?:(?:not|no)(?! (?:through|go|fly))|except|without|nicht|pas)\b", re.I
+    r"\W*(?:(?:and|but|aber|mais)\s+)?"
+    r"(?:(?:not|no|never)(?! (?:ever |through|thru|go|fly))|except|without|nicht|pas)\b",
+    re.I,
 )
 """After a landing: said of the pad, rather than of gates."""
-_IDLE = re.compile(r"(?:fly to )?(?:stop|wait|hover|halt|stay|pause|rest)\b(?:\s+(?:here|there|for|until)\b.*)?", re.I)
-"""What no gate shows."""
+_IDLE = re.compile(
+    rf"^(?:fly to )?(?:stop|wait|hover|halt|stay|pause|rest)\b(?:\s+(?:here|there|for|until)\b.*)?$|^(?:{GO}\W*)+$|"
+    r"\b(?:of|the|to|from|by|and|or)\W*$",
+    re.I,
+)
+"""What no gate shows: idling, a verb alone, half a sentence."""
 _REFUSES = re.compile(
-    r"\W*(?:please\s+)?(?:do not|don'?t|never)\s+(?:fly|go|head|move|start|take off|land)\b[^,;.]*\W*", re.I
+    r"\W*(?:please\s+)?(?:do not|don'?t|never)\s+(?:fly|go|head|move|start|take off|land)\b[^,;.]*\W*|"
+    r"\W*(?:ne\s+\w+\s+pas|(?:fliege?|geh|starte?)\s+nicht)\b[^,;.]*\W*",
+    re.I,
 )
 """Says what is not to be done, and nothing else."""
 _ROUTE = re.compile(r"\W*(?:your|the)?\s*(?:first|route|tour|order|mission|start|begin)\b", re.I)
@@ -135,12 +144,18 @@ def read(sentence: str) -> Reading:
     except NotFlownError as error:
         return Reading(alone, str(error))
     except UnexpectedInput as error:
-        if sure or steps > 1 or (steps and ({"NOT", "NEVER", "CORRECTION"} & set(names) or _BANS.search(text))):
+        if (
+            sure
+            or steps > 1
+            or names.count("TIMES") > 1
+            or (steps and ({"NOT", "NEVER", "CORRECTION"} & set(names) or _BANS.search(text)))
+        ):
             return Reading(
                 alone, _left_over(text, getattr(error.token, "start_pos", None) if hasattr(error, "token") else None)
             )
         return Reading(alone)
-    if goals is None and (sure or (steps and ("NEVER" in names or _BANS.search(text)))):
+    banned = ("NEVER", "LOOKS") in pairwise(names)
+    if goals is None and (sure or banned or (steps and ("NEVER" in names or _BANS.search(text)))):
         return Reading(alone, _left_over(text, 0))
     if goals is None or not is_mission(goals):
         return Reading(alone, _left_over(text, 0) if sure else "")
@@ -170,7 +185,7 @@ def problem_of(goals: Sequence[SubGoal]) -> str:
             continue
         for said in filter(None, (goal.instruction, goal.otherwise, goal.condition)):
             head = DESCRIBES.split(said, maxsplit=1)[0]  # what describes a thing may deny and oppose
-            if strange := STRANGE.search(said) or _MOVES.search(said) or _OPPOSES.search(head) or _IDLE.fullmatch(said):
+            if strange := STRANGE.search(said) or _MOVES.search(said) or _OPPOSES.search(head) or _IDLE.search(said):
                 return f"has {strange[0]!r} in sub-goal {number}, {said!r}, which is not understood; {SAY}"
             if color := next((color for color in COLORS if color in goal.avoid and _asks_for(said, color)), None):
                 return f"asks for the {color} gate and forbids it; leave out one of the two"
