@@ -16,16 +16,17 @@ from cognitivedrone.files import reason_of
 from cognitivedrone.pilot import open_pilot
 from cognitivedrone.remote.connection import keep_alive
 from cognitivedrone.serving.access import token_of
-from cognitivedrone.serving.admission import Admission
 from cognitivedrone.serving.app import PolicyServer
 from cognitivedrone.serving.config import ServePlan
-from cognitivedrone.serving.protocols import UNREAD_S, limited
 from cognitivedrone.serving.sessions import Served
-from cognitivedrone.system import close_unread
 from cognitivedrone.system.interrupts import until_asked
 
 STOP_S = 2
 """Time that clients have to leave when the server stops, s."""
+MOST_WAITING = 192
+"""Maximum number of connections beyond those of websocket clients: of REST, and those that have asked nothing yet."""
+KEEP_ALIVE_S = 10
+"""Time for which a connection of REST is kept without a request, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +113,6 @@ def _listen(plan: ServePlan) -> socket.socket:
     try:
         listening = socket.create_server((plan.bare_host, plan.port), family=family, backlog=128)
         keep_alive(listening)  # connections inherit these
-        close_unread(listening, UNREAD_S)
         return listening
     except OSError as error:
         raise ServerError(
@@ -129,13 +129,13 @@ async def _run(
     stop: Callable[[], bool],
 ) -> None:
     application = PolicyServer(served, plan.limits, token)
-    admission = Admission(plan.limits, token)
-    http, websocket = limited(admission)
     server = _Server(
         uvicorn.Config(
             application.app,
-            http=http,
-            ws=websocket,
+            http="h11",
+            ws="websockets-sansio",
+            limit_concurrency=plan.limits.clients + MOST_WAITING,
+            timeout_keep_alive=KEEP_ALIVE_S,
             # A client that computes does not answer pings either; `_listen` asks its operating system.
             ws_ping_interval=None,
             ws_max_size=1000 * plan.limits.message_kb,
@@ -158,5 +158,4 @@ async def _run(
             await asyncio.wait([running], timeout=0.1)
         await running
     finally:
-        await admission.close()
         await application.close()
