@@ -11,7 +11,7 @@ from cognitivedrone.benchmark.runs.film import FILMS_FOLDER, film_episode
 from cognitivedrone.benchmark.scores.results import read_results
 from cognitivedrone.errors import ServerError, TaskError
 from cognitivedrone.film.frame import OUTCOME_TEXTS
-from cognitivedrone.film.page import FILM_FILE
+from cognitivedrone.film.movie import FILM_FILE
 from cognitivedrone.play.channels import Channels
 from cognitivedrone.play.server import Controls
 

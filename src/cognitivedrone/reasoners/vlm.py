@@ -41,8 +41,7 @@ from cognitivedrone.reasoners.prompt import (
     write_prompt,
 )
 from cognitivedrone.reasoners.reply import quote, read_reply, unfinished
-from cognitivedrone.remote.proxy import proxy_hint
-from cognitivedrone.remote.tls import tls_fault
+from cognitivedrone.remote.faults import proxy_hint, tls_fault
 from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.types import Guidance, Image, SubGoal
 

@@ -83,8 +83,8 @@ def published_actions(position: NDArray[np.float64], quaternion: Quaternions) ->
     ahead = np.minimum(steps + LOOKAHEAD, len(position) - 1)
     displacement = position[ahead] - position[steps]
     distance = np.hypot(displacement[:, 0], displacement[:, 1])
-    track_runner = np.arctan2(displacement[:, 1], displacement[:, 0])
-    angle = np.where(distance < STILL_M, 0.0, wrap_angle(track_runner - yaw_of(quaternion)))
+    heading = np.arctan2(displacement[:, 1], displacement[:, 0])
+    angle = np.where(distance < STILL_M, 0.0, wrap_angle(heading - yaw_of(quaternion)))
     return np.column_stack([-distance, np.zeros_like(distance), -displacement[:, 2], angle])
 
 
