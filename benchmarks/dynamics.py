@@ -19,7 +19,7 @@ from mujoco.batch import Batch
 
 from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.sim.airframe import GRAVITY, RACER, build_model
-from cognitivedrone.sim.dynamics import Flight, threads_for
+from cognitivedrone.sim.dynamics import BatchedFlight, threads_for
 
 TICKS = 40
 REPEATS = 60
@@ -50,17 +50,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print("| worlds | threads | control step ms | times real time, all worlds | over bare physics |")
     print("|---|---|---|---|---|")
     for worlds, threads in cases:
-        flight = Flight(worlds, threads=threads)
+        flight = BatchedFlight(worlds, threads=threads)
         actions = np.random.default_rng(0).uniform(-1, 1, (worlds, 4)) * [1, 1, 0.1, 1]
 
-        def step(flight: Flight = flight, actions: np.ndarray = actions) -> None:
+        def step(flight: BatchedFlight = flight, actions: np.ndarray = actions) -> None:
             flight.command(actions)
             flight.advance(TICKS)
 
-        bare = Batch(build_model(RACER, Flight.TICK_S), worlds, threads)
+        bare = Batch(build_model(RACER, BatchedFlight.TICK_S), worlds, threads)
         bare.act = bare.ctrl = RACER.mass * GRAVITY / 4  # hovering clear of the floor, as ours
         ours, physics = median_ms(step), median_ms(partial(bare.step, nstep=TICKS))
-        real_time = worlds * TICKS * Flight.TICK_S * 1e3 / ours
+        real_time = worlds * TICKS * BatchedFlight.TICK_S * 1e3 / ours
         print(f"| {worlds} | {threads} | {ours:.2f} | {real_time:,.0f} | {ours / physics:.1f} |", flush=True)
         times = {"step_ms": ours, "real_time": real_time, "over_physics": ours / physics}
         chosen = {"chosen": threads_for(worlds, max(options.threads))} if options.threads else {}

@@ -22,8 +22,8 @@ from cognitivedrone.benchmark.measurements import keep
 from cognitivedrone.control.async_reasoner import SimulatedReasoner
 from cognitivedrone.control.hold import HeldDrone, Hold, HoldAwareReasoner, HoldRule
 from cognitivedrone.control.loop import Segment, fly
-from cognitivedrone.envs.drone import SimulatedDrone
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
+from cognitivedrone.envs.worlds import SimulatedDrone
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners import make_reasoner

@@ -22,12 +22,12 @@ from cognitivedrone.choices import AppearanceName
 from cognitivedrone.control.async_reasoner import SimulatedReasoner
 from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.control.passage import Passage, WatchedDrone
-from cognitivedrone.envs.drone import SimulatedDrone
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
+from cognitivedrone.envs.worlds import SimulatedDrone
 from cognitivedrone.labels import load_pack
 from cognitivedrone.pilot import Pilot, open_pilot
 from cognitivedrone.plan import PilotSpec
-from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.sim.dynamics import BatchedFlight
 from cognitivedrone.sim.gate_monitor import GateEvent
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import load_suite
@@ -59,7 +59,7 @@ class Unjudged(SimulatedDrone):
 
     def sleep_until(self, time_s: float) -> None:
         """Advance the world; nothing ends the flight."""
-        ticks = round((time_s - self.now()) / Flight.TICK_S)
+        ticks = round((time_s - self.now()) / BatchedFlight.TICK_S)
         event = self.world.advance(ticks) if ticks > 0 else None
         if event is not None and self.event is None:
             self.event, self.event_s = event, self.now()

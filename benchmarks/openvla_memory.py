@@ -16,7 +16,7 @@ from typing import Any
 from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.models.openvla import checkpoint
 from cognitivedrone.models.openvla.config import Config
-from cognitivedrone.training.openvla.base import WORKSPACE, needed_bytes
+from cognitivedrone.training.openvla.adapters import WORKSPACE, needed_bytes
 from cognitivedrone.training.openvla.recipes import PAPER
 
 MICRO_BATCHES = (1, 4, 8, 16, 32)

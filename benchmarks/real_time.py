@@ -22,8 +22,8 @@ from cognitivedrone.benchmark.measurements import keep
 from cognitivedrone.control.async_reasoner import SimulatedReasoner, ThreadedReasoner
 from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Segment, fly
-from cognitivedrone.envs.drone import PacedDrone, SimulatedDrone
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
+from cognitivedrone.envs.worlds import PacedDrone, SimulatedDrone
 from cognitivedrone.interfaces import Policy, Reasoner
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy

@@ -27,7 +27,7 @@ from websockets.sync.client import connect
 
 from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.policies.small import Small
-from cognitivedrone.remote.codec import LARGEST_BYTES, pack, unpack
+from cognitivedrone.remote.messages import LARGEST_BYTES, pack, unpack
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, EpisodeContext, Observation
 
 CLIENTS, SESSIONS = 8, 16

@@ -18,7 +18,7 @@ import numpy as np
 
 from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.sim.airframe import AIRFRAMES
-from cognitivedrone.sim.responses import ARDUCOPTER, STEPS, Figures, OwnMotion, Trace, fly, measure
+from cognitivedrone.sim.responses import ARDUCOPTER, STEPS, Figures, OwnMotion, ResponseTrace, fly, measure
 from cognitivedrone.types import FloatArray
 from cognitivedrone.vehicles.sitl.arducopter import BINARY_VARIABLE
 from cognitivedrone.vehicles.sitl.flight import SitlFlight
@@ -52,7 +52,7 @@ def row(name: str, who: str, f: Figures) -> dict[str, Any]:
     return {"step": name, "who": who, **times, **others}
 
 
-def distance(trace: Trace, path: Path) -> str:
+def distance(trace: ResponseTrace, path: Path) -> str:
     with path.open() as file:
         rows = [r for r in csv.DictReader(file) if 0 <= float(r["t"]) <= trace.time[-1]]
     time = np.array([float(r["t"]) for r in rows])
@@ -65,7 +65,7 @@ def distance(trace: Trace, path: Path) -> str:
     return " ".join(f"{c} {v:.3f}" for c, v in zip(columns, rms, strict=True)) + f" heading max {lag:.3f} rad"
 
 
-def plot(curves: dict[str, dict[str, Trace]]) -> str:
+def plot(curves: dict[str, dict[str, ResponseTrace]]) -> str:
     """An SVG with a panel a step: the measured component of each response over time."""
     parts = []
     for place, (name, traces) in enumerate(curves.items()):
@@ -141,7 +141,7 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|---|")
     distances: list[str] = []
     rows = []
-    curves: dict[str, dict[str, Trace]] = {}
+    curves: dict[str, dict[str, ResponseTrace]] = {}
     try:
         for name, step in STEPS.items():
             rows.append(row(name, "ArduCopter 4.6.3", ARDUCOPTER[name]))

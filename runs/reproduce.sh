@@ -210,10 +210,7 @@ if [[ $everything ]]; then
   measure systems systems --wheel "$python" ${roots[@]:+--root "${roots[@]}"}
   measure serving serving
   measure serving_load serving --load 600
-  measure serving_hostile fuzz_server
   measure faults faults
-  measure fault_times fault_times --flights 20 --at-once 8
-  measure random_faults random_faults --minutes 30 --at-once 2
   if [[ ${HARNESSES:-} ]]; then
     measure harnesses harnesses
   fi

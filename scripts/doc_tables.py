@@ -370,7 +370,6 @@ TABLES: Final[dict[str, Description]] = {
         },
     ),
     # docs/install.md, docs/gymnasium.md, docs/own_policy.md
-    "attacks": rows_of("attacks", {"attacks": "{kind}", "tried": "{attacks}", "held": "{held}", "fell": "{fell}"}),
     "systems": rows_of("systems", SYSTEMS | {"wall time": "{wall_s:.0f} s"}),
     "systems-earlier": rows_of("systems_earlier", SYSTEMS),
     "systems-arm64": rows_of("systems_arm64", SYSTEMS | {"wall time, emulated": "{wall_s:.0f} s"}),
@@ -419,18 +418,6 @@ TABLES: Final[dict[str, Description]] = {
             "requests": "{requests:,}",
             "requests/s": "{per_s:.0f}",
             "memory, and growth after the first tenth": "{memory_mb:.0f} MB, {grown:+.1%}",
-        },
-    ),
-    "serving-hostile": rows_of(
-        "serving_hostile",
-        {
-            "hostile messages": "{messages:,}",
-            "answered with an error code": "{with_code:,}",
-            "connection closed": "{closed:,}",
-            "HTTP status": "{with_status:,}",
-            "harmless, answered": "{answered:,}",
-            "right answers to another session meanwhile": "{witness_answers:,}",
-            "memory before, after": "{memory_mb:.0f} MB",
         },
     ),
     # docs/fly.md, docs/real-drone.md
@@ -502,16 +489,6 @@ TABLES: Final[dict[str, Description]] = {
             "noticed where no gate was passed": "{wrong}",
         },
     ),
-    "random-faults": rows_of(
-        "random_faults",
-        {
-            "in the air": "{air_min:.0f} min, {flights} flights",
-            "faults": "{faults} of {kinds} kinds",
-            "unsafe ends": "{unsafe}",
-            "memory of the guard": "{guard_mb:.1f} MB, {grown_mb:+.1f} MB",
-            "of vehicle and pilot": "{settled_mb:.1f} MB; {last_mb:.1f} MB",
-        },
-    ),
     "sitl-faults": rows_of(
         "sitl_faults",
         {
@@ -522,24 +499,7 @@ TABLES: Final[dict[str, Description]] = {
             "how it ended": "{end}",
         },
     ),
-    "second-vehicle": rows_of(
-        "second_vehicle",
-        {
-            "what the link adds": "{attack}",
-            "motors stopped after, s": "{down_s:.1f}",
-            "guard ended after, s": "{ended_s:.1f}",
-            "how it ended": "{end}",
-        },
-    ),
     "sitl-core": repeated({"sitl_core_46": "4.6.3", "sitl_core_47": "4.7-dev"}),
-    "fault-times": rows_of(
-        "fault_times",
-        {
-            "fault": "{fault}",
-            "safe: median, worst, limit": "{safe_ms:.0f}",
-            "down: median, worst, limit": "{down_ms:.0f}",
-        },
-    ),
     # docs/vehicles.md
     "sitl-scores": sitl_scores,
     "sitl-steps": rows_of("sitl_step_responses", STEPS),

@@ -11,8 +11,8 @@ import numpy as np
 from cognitivedrone.audit import run as run_module
 from cognitivedrone.audit.catalogue import AUDITS
 from cognitivedrone.audit.config import AuditPlan
-from cognitivedrone.audit.missions import in_order
 from cognitivedrone.audit.run import audit
+from cognitivedrone.audit.scenes import in_order
 from cognitivedrone.plan import PilotSpec, TaskSource
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.tasks.format import write_tasks

@@ -15,8 +15,6 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 import environment
 
-from cognitivedrone.benchmark.measurements import read_measurement
-
 
 class SlowAviary:
     """What the benchmark asks of theirs."""
@@ -80,33 +78,6 @@ def test_where_the_peer_is_installed_both_fly_in_one_go(short, monkeypatch, caps
     assert ratios(printed) == [1.0, 4.0, 16.0, 16.0, 16.0]  # the last two past obstacles
     assert "flown here, turn by turn" in printed
     assert environment.PEER_MEASURED not in printed
-
-
-def test_what_was_measured_is_kept_where_it_is_ended_early(short, monkeypatch, tmp_path):
-    find(monkeypatch, None)
-    monkeypatch.setattr(environment, "single", lambda: lambda: None)
-    monkeypatch.setattr(environment, "vector", lambda worlds, **_: lambda: None)
-    monkeypatch.setattr(environment, "crowded", lambda count: None)
-    monkeypatch.setattr(environment, "REPETITIONS", 3)
-    out, kept = tmp_path / "environment.json", []
-    turns = environment.steps_per_second
-
-    def watched(contenders):
-        for calls in turns(contenders):
-            yield calls
-            kept.append([row.get("what") for row in read_measurement(out).rows])
-
-    def ended():
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(environment, "steps_per_second", watched)
-    monkeypatch.setattr(environment, "reset_seconds", ended)
-    with pytest.raises(KeyboardInterrupt):
-        environment.main(["--out", str(out)])
-    crowded = "vector of 16, six frames, ten obstacles"
-    names = ["one world", "vector of 4", "vector of 16", "vector of 16, obstacles", crowded]
-    names.append("gym-pybullet-drones, one drone")
-    assert kept == [names] * 3
 
 
 def test_where_it_is_not_the_ratio_is_to_a_dated_figure(short, monkeypatch, capsys):

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
@@ -82,20 +80,6 @@ def test_a_row_that_fails_is_told_of_and_the_rest_goes_on(tmp_path):
     ]
 
 
-def test_rows_of_an_earlier_run_stay_where_they_are_asked_for(tmp_path):
-    out = tmp_path / "some.json"
-    for add, name, number in ((False, "first", "1"), (True, "second", "2"), (True, "first", "3")):
-        report = Report(HOST, out, add=add)
-        report.begin("python benchmarks/openvla_gpu.py")
-        report.table("Some", "number")
-        report.row(name, number)
-    assert [(row["row"], row["number"]) for row in read_measurement(out).rows] == [("second", "2"), ("first", "3")]
-    report = Report(HOST, out)
-    report.table("Some", "number")
-    report.row("third", "4")
-    assert len(read_measurement(out).rows) == 1
-
-
 @pytest.fixture(scope="module")
 def reasoner():
     return beside.random_reasoner(HOST, "none")
@@ -133,33 +117,3 @@ def test_the_published_loop_computes_the_same_loss():
     ours = lora.our_loss(network, batch)
     assert published.item() == pytest.approx(ours.item(), rel=1e-5)
     assert all(value.dtype == torch.float32 for value in trained)
-
-
-class Clock:
-    """Time that passes by sleeping and by working."""
-
-    def __init__(self):
-        self.now = 100.0
-
-    def pass_(self, seconds):
-        self.now += seconds
-
-
-@pytest.mark.parametrize(
-    ("takes", "times", "missed"),
-    [
-        ([0.05] * 10, 10, 0),
-        ([0.05, 0.105, *[0.05] * 8], 10, 0),  # 5 ms late are forgiven
-        ([0.05, 0.15, *[0.05] * 8], 10, 1),
-        ([0.05, 0.25, *[0.05] * 8], 10, 3),  # it has to catch up
-        ([0.21] * 10, 5, 10),  # and may never: what has not begun in time is missed as well
-    ],
-)
-def test_deadlines_are_absolute(monkeypatch, takes, times, missed):
-    clock, left = Clock(), iter(takes)
-    monkeypatch.setattr(
-        beside, "time", SimpleNamespace(monotonic=lambda: clock.now, perf_counter=lambda: clock.now, sleep=clock.pass_)
-    )
-    pace = beside.keep_pace(lambda: clock.pass_(next(left)), 10.0, 1.0, 100.0)
-    assert (len(pace.times_ms), pace.missed, pace.due) == (times, missed, 10)
-    np.testing.assert_allclose(pace.times_ms, np.array(takes[:times]) * 1e3, atol=1e-6)

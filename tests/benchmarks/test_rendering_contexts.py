@@ -26,24 +26,6 @@ def test_contexts_and_processes_leave_a_row_each(tmp_path, capsys):
     assert " 1 processes" in capsys.readouterr().out
 
 
-def test_processes_draw_at_the_same_time(monkeypatch):
-    drawing = []
-
-    def frame_rate(*_, ready, **__):
-        ready()
-        drawing.append(True)
-        return 100.0
-
-    monkeypatch.setattr(rendering_contexts, "frame_rate", frame_rate)
-    gate, rates = threading.Barrier(2), SimpleQueue()
-    other = threading.Thread(target=rendering_contexts.draw, args=(gate, rates, 1))
-    other.start()
-    assert not drawing
-    rendering_contexts.draw(gate, rates, 1)
-    other.join(60)
-    assert [rates.get(), rates.get()] == [100.0, 100.0]
-
-
 def test_a_process_without_a_first_frame_lets_the_others_draw(monkeypatch, capsys):
     rate = iter([RenderError("the card drew no frame within 60 s"), 100.0])
 

@@ -24,12 +24,6 @@ def test_the_same_renderer_draws_the_same_pictures(tmp_path, capsys):
     assert "a pixel differs by 0 of 255 at most" in capsys.readouterr().out
 
 
-def test_flights_of_the_suite_end_somehow(tmp_path):
-    rendering_difference.child(tmp_path / "made.npz", 1, 1)
-    with np.load(tmp_path / "made.npz") as made:
-        assert made["ends"].shape == (1,)
-
-
 def test_what_differs_is_counted():
     frames = np.zeros((2, 4, 4, 3), np.uint8)
     other = frames.copy()

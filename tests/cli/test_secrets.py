@@ -20,9 +20,8 @@ from cognitivedrone.benchmark.scores.codec import dumps
 from cognitivedrone.collect.job import Learner
 from cognitivedrone.plan import PilotSpec
 from cognitivedrone.play.flight import command_line
-from cognitivedrone.serving.announce import announced
 from cognitivedrone.serving.config import ServePlan
-from cognitivedrone.serving.server import Address
+from cognitivedrone.serving.server import Address, announced
 from cognitivedrone.terminal import console
 
 SERVER = "remote:ws://127.0.0.1:9/?token=SECRET,rows=3"

@@ -27,7 +27,7 @@ from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import ACTION_LIMITS
 from cognitivedrone.vehicles import VEHICLES, check_tracks, open_vehicle
 from cognitivedrone.vehicles.contract import Pace, Request, Vehicle
-from cognitivedrone.vehicles.gazebo import pilot
+from cognitivedrone.vehicles.gazebo import flight
 from cognitivedrone.vehicles.gazebo.worlds.export import export
 
 SUITE = load_suite("open-v1:smoke")
@@ -50,7 +50,7 @@ def opened_vehicle(kind: str, pace: Pace, folder: Path) -> Iterator[Vehicle]:
             gazebo = stack.enter_context(FakeGazebo(models=tuple(models(read_world(world)))).running())
             running = stack.enter_context(moving(gazebo))
             patch = stack.enter_context(pytest.MonkeyPatch.context())
-            patch.setattr(pilot, "open_gazebo", lambda: opened(running))
+            patch.setattr(flight, "open_gazebo", lambda: opened(running))
         if "mavlink" in kind:
             vehicle = stack.enter_context(served(SIMULATOR))
             spec = VehicleSpec("mavlink:tcp:" + vehicle.links[0].partition(":")[2])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from cognitivedrone.control.landing import Lander, pad_in
-from cognitivedrone.envs.drone import SimulatedDrone
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner
+from cognitivedrone.envs.worlds import SimulatedDrone
 from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.drone_world import Start
 from cognitivedrone.sim.gate_monitor import judge

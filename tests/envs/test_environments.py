@@ -15,7 +15,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordVideo
 
 from cognitivedrone.envs.gym import CognitiveDroneEnv
-from cognitivedrone.envs.spaces import observation_space
+from cognitivedrone.envs.options import observation_space
 from cognitivedrone.envs.vector import CognitiveDroneVectorEnv
 from cognitivedrone.errors import LabelError, PolicyError, SimulationError, TaskError, UsageError
 from cognitivedrone.policies.expert import Expert

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from cognitivedrone.envs.gym import CognitiveDroneEnv
-from cognitivedrone.envs.spaces import observation_space
+from cognitivedrone.envs.options import observation_space
 from cognitivedrone.envs.vector import CognitiveDroneVectorEnv
 from cognitivedrone.plan import Scenario
 

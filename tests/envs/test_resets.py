@@ -15,8 +15,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.wrappers import vector as wrappers
 
 from cognitivedrone.envs.gym import CognitiveDroneEnv
-from cognitivedrone.envs.options import NotReset
-from cognitivedrone.envs.spaces import InstructionSpace
+from cognitivedrone.envs.options import InstructionSpace, NotReset
 from cognitivedrone.envs.vector import CognitiveDroneVectorEnv
 from cognitivedrone.errors import CognitiveDroneError, SimulationError, TaskError, UnknownOption, UsageError
 from cognitivedrone.plan import Scenario

@@ -15,7 +15,7 @@ import pytest
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv, VectorEnv
 from gymnasium.vector.utils import create_shared_memory, read_from_shared_memory, write_to_shared_memory
 
-from cognitivedrone.envs.spaces import InstructionSpace
+from cognitivedrone.envs.options import InstructionSpace
 
 ID = "cognitivedrone.envs:CognitiveDrone-v1"
 WORLDS = 2

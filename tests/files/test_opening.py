@@ -33,7 +33,7 @@ ALLOWED: dict[str, frozenset[str]] = {
             "os.open",
             "path.rmdir",  # a folder that is synced, and one that another takes the place of
         },
-        "training/trainer/precision.py": {"processor.read_text"},
+        "training/trainer/training_task.py": {"processor.read_text"},
         "rollout/cards.py": {"file.read_text"},
         "vehicles/gazebo/caller.py": {"os.fdopen"},  # of a pipe of its own
         "system/interrupts.py": {"os.open"},
@@ -55,11 +55,11 @@ ALLOWED: dict[str, frozenset[str]] = {
         "play/server.py": {"found.read_bytes"},
         "training/language/wordings.py": {"entry.read_text"},
         "training/reasoner/classifier.py": {"torch.load"},
-        "training/reasoner/pretrained.py": {"(_folder() / 'tokenizer.json').read_bytes", "load_file"},
+        "training/reasoner/selector_files.py": {"(_folder() / 'tokenizer.json').read_bytes", "load_file"},
         # In a temporary folder of its own, of a name that nobody foresees.
         "rollout/process_pool.py": {"crash_file.open", "worker.crash_file.read_text"},
         "training/processes.py": {"written.write_text", "file.read_text"},
-        "vehicles/gazebo/worlds/check.py": {"path.read_text"},
+        "vehicles/gazebo/worlds/export.py": {"path.read_text"},
         "vehicles/gazebo/selftest/__init__.py": {"(folder.parent / 'world' / PARAMETERS_FILE).read_text"},
         # In memory.
         "training/perception/photographic.py": {"PillowImage.open"},

@@ -12,9 +12,8 @@ import pytest
 from cognitivedrone.cli import main
 from cognitivedrone.errors import PluginError
 from cognitivedrone.film.frame import Film, FilmFrame, Scene, Verdict, reading_of
-from cognitivedrone.film.movie import END_S, FPS, LONGEST_S, pictures
+from cognitivedrone.film.movie import END_S, FPS, LONGEST_S, pictures, write_flight
 from cognitivedrone.film.overlays import READING
-from cognitivedrone.film.page import write_flight
 from cognitivedrone.film.video import read_mp4
 from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.reasoners.scene_text import UNREADABLE
@@ -75,7 +74,7 @@ def test_nothing_is_filmed_through_a_link(tmp_path: Path, monkeypatch: pytest.Mo
         with path.open("ab") as file:  # as FFmpeg does, through a link if there is one
             return file.write(b"film" * len(list(film.frames)))
 
-    monkeypatch.setattr("cognitivedrone.film.page.write_film", write)
+    monkeypatch.setattr("cognitivedrone.film.movie.write_film", write)
     assert write_flight(out, Film("", flight(3), [], VERDICT)) == out / "flight.html"
     assert theirs.read_text() == "precious"
     assert (out / "flight.mp4").read_bytes() == b"film" * 3

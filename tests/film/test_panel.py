@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cognitivedrone.film.frame import FilmFrame
-from cognitivedrone.film.panel import ACTIONS, PANEL_HEIGHT, WIDTH, compose
+from cognitivedrone.film.overlays import ACTIONS, PANEL_HEIGHT, WIDTH, compose
 from cognitivedrone.types import ACTION_LIMITS, Guidance
 
 BLUE, ORANGE, GREEN = (96, 165, 250), (251, 146, 60), (52, 211, 153)

@@ -22,8 +22,7 @@ from cognitivedrone.data.formats import export
 from cognitivedrone.data.store import Store
 from cognitivedrone.data.verify import verify
 from cognitivedrone.errors import HubError
-from cognitivedrone.hub.contents import check_names, contents_of, kind_of
-from cognitivedrone.hub.transfer import _api
+from cognitivedrone.hub import _api, check_names, contents_of, kind_of
 from cognitivedrone.models.reasoner_file import LOOKS
 
 constants = pytest.importorskip("huggingface_hub.constants")

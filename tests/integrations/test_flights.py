@@ -8,7 +8,7 @@ import pytest
 from cognitivedrone import evaluate
 from cognitivedrone.data.formats.lerobot_columns import IMAGE_KEY, feature_spec
 from cognitivedrone.errors import AirframeError, SimulationError, TaskError
-from cognitivedrone.integrations.flights import CAMERA, OUTCOMES, STATE, Flights, family_of, metrics_of
+from cognitivedrone.integrations.flights import CAMERA, OUTCOMES, STATE, HarnessFlights, family_of, metrics_of
 from cognitivedrone.plan import Scenario
 from cognitivedrone.policies.expert import Expert
 from cognitivedrone.policies.small import state_of
@@ -39,7 +39,7 @@ def flown(flights, episode, seed, policy):
 
 @pytest.fixture(scope="module")
 def smoke():
-    made = Flights(Scenario.of(suite="open-v1:smoke"))
+    made = HarnessFlights(Scenario.of(suite="open-v1:smoke"))
     yield made
     made.close()
 
@@ -54,7 +54,7 @@ def test_an_episode_is_the_one_that_the_benchmark_flies(smoke, tmp_path, seed):
 @pytest.mark.parametrize("suite", ["open-v3:swaying", "open-v3:gates"])
 def test_gates_that_move_and_stages_with_two_of_them_are_those_of_the_benchmark(suite):
     episodes = evaluate(Weaver(), suite=suite, episodes=2, progress=False).results.episodes
-    flights = Flights(Scenario.of(suite=suite))
+    flights = HarnessFlights(Scenario.of(suite=suite))
     assert [flown(flights, each.episode, 0, Weaver()) for each in episodes] == [each.stages for each in episodes]
     flights.close()
 
@@ -82,7 +82,7 @@ def test_an_episode_that_is_left_counts_as_timed_out(smoke):
 
 
 def test_declining_passes_where_nothing_that_is_asked_for_is_there():
-    absent = Flights(Scenario.of(suite="open-v2:absent"))
+    absent = HarnessFlights(Scenario.of(suite="open-v2:absent"))
     view, done, steps = absent.begin(0, 0), False, 0
     while not done:
         view, reward, done = absent.step(np.zeros(4), declines=True)
@@ -94,7 +94,7 @@ def test_declining_passes_where_nothing_that_is_asked_for_is_there():
 
 
 def test_a_track_leads_through_its_stages():
-    tracks = Flights(Scenario.of(suite="open-v1:track"))
+    tracks = HarnessFlights(Scenario.of(suite="open-v1:track"))
     view, expert, stages, rewards, done = tracks.begin(0, 0), Expert(), [], 0.0, False
     while not done:
         if view.stage not in stages:
@@ -125,7 +125,7 @@ class Listening(Expert):
 def test_a_mission_is_told_and_flown_as_the_benchmark_does():
     scored, mission = Listening(), load_suite("open-v3:missions").tracks[0][0].mission
     (episode,) = evaluate(scored, suite="open-v3:missions", episodes=1, progress=False).results.episodes
-    flights, told, stage, done = Flights(Scenario.of(suite="open-v3:missions")), [], -1, False
+    flights, told, stage, done = HarnessFlights(Scenario.of(suite="open-v3:missions")), [], -1, False
     view, expert = flights.begin(0, 0), Expert()
     while not done:
         if view.stage != stage:
@@ -161,11 +161,11 @@ def test_episodes_are_chosen_by_family(smoke):
 
 def test_what_cannot_be_flown_is_reported_before_anything_is_rendered():
     with pytest.raises(AirframeError):
-        Flights(Scenario.of(suite="open-v1:smoke", airframe="dji"))
+        HarnessFlights(Scenario.of(suite="open-v1:smoke", airframe="dji"))
     with pytest.raises(SimulationError, match="time_limit_s"):
-        Flights(Scenario.of(suite="open-v1:smoke"), time_limit_s=0)
+        HarnessFlights(Scenario.of(suite="open-v1:smoke"), time_limit_s=0)
     with pytest.raises(TaskError, match="call begin first"):
-        Flights(Scenario.of(suite="open-v1:smoke")).step(np.zeros(4))
+        HarnessFlights(Scenario.of(suite="open-v1:smoke")).step(np.zeros(4))
 
 
 def test_camera_and_state_are_those_of_the_export():

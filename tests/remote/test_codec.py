@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as some_numpy
 from policy_clients import decode, encode
 
 from cognitivedrone.errors import MessageError
-from cognitivedrone.remote.codec import DTYPES, pack, unpack
+from cognitivedrone.remote.messages import DTYPES, pack, unpack
 
 ARRAYS = some_numpy.arrays(
     some.sampled_from(sorted(DTYPES)), some_numpy.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=5)

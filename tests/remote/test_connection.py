@@ -18,7 +18,7 @@ from cognitivedrone.errors import PluginError, ReasonerError, ServerError
 from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.remote import connection
-from cognitivedrone.remote.proxy import proxy_hint
+from cognitivedrone.remote.faults import proxy_hint
 from cognitivedrone.types import EpisodeContext, Observation
 
 BEGIN = EpisodeContext("Fly through the red gate")

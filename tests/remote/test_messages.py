@@ -15,18 +15,19 @@ from cognitivedrone.errors import (
     ReasonerError,
     ServerError,
 )
-from cognitivedrone.remote.codec import pack, unpack
 from cognitivedrone.remote.messages import (
     check_protocol,
     code_of,
     error_frame,
     observation_message,
+    pack,
     raise_error,
     read_ask,
     read_guidance,
     read_observation,
     read_resets,
     reset_message,
+    unpack,
 )
 from cognitivedrone.types import EpisodeContext, Observation
 

@@ -12,7 +12,7 @@ from cognitivedrone.errors import ServerError
 from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.remote.connection import Connection
-from cognitivedrone.remote.tls import tls_fault
+from cognitivedrone.remote.faults import tls_fault
 from cognitivedrone.serving.config import ServePlan
 from cognitivedrone.serving.server import serving
 

@@ -14,9 +14,8 @@ from policy_clients import Client, observation
 from cognitivedrone import errors
 from cognitivedrone.cli import main
 from cognitivedrone.policies import make_policy
-from cognitivedrone.serving.announce import announced, logging_to_stderr
 from cognitivedrone.serving.config import ServePlan
-from cognitivedrone.serving.server import Address, serving
+from cognitivedrone.serving.server import Address, announced, logging_to_stderr, serving
 
 
 def has_ipv6() -> bool:

@@ -4,10 +4,8 @@ import logging
 
 from policy_clients import Client, observation
 
-from cognitivedrone.serving.announce import logging_to_stderr
 from cognitivedrone.serving.config import ServePlan
-from cognitivedrone.serving.log_limit import KINDS, MOST, PERIOD_S, LogLimit
-from cognitivedrone.serving.server import serving
+from cognitivedrone.serving.server import KINDS, MOST, PERIOD_S, LogLimit, logging_to_stderr, serving
 
 
 def record(text="%s: failed", kind="", level=logging.ERROR):

@@ -4,7 +4,6 @@ import contextlib
 import http.client
 import json
 import logging
-import socket
 import threading
 
 import msgpack
@@ -15,7 +14,6 @@ from policy_clients import Client, observation, packed
 from served_pilots import Held
 
 from cognitivedrone.errors import GroundTruthError, PluginError, PolicyError, ServerError, UsageError
-from cognitivedrone.serving import admission, protocols
 from cognitivedrone.serving.config import ServePlan
 from cognitivedrone.serving.server import serving
 
@@ -188,17 +186,6 @@ def test_a_message_beyond_the_limit_ends_its_own_connection(address):
         assert counted(other) == [0, 1]
 
 
-def test_a_message_in_very_many_pieces_ends_its_own_connection(address):
-    with Client(address) as client, Client(address) as other:
-        with contextlib.suppress(websockets.exceptions.ConnectionClosed):
-            client.socket.send([b"\x80"] * (2 * protocols.MOST_FRAGMENTS))
-        with pytest.raises(websockets.exceptions.ConnectionClosed):
-            client.receive()
-        data = packed(observation())
-        other.socket.send([data[:100_000], data[100_000:]])
-        assert other.receive()["actions"][0, 1] == 1
-
-
 def test_no_more_clients_than_allowed():
     with served(clients=1) as address, Client(address) as client:
         with pytest.raises(websockets.exceptions.InvalidStatus) as caught, Client(address):
@@ -245,17 +232,6 @@ def test_no_more_waiting_observations_than_allowed():
         for thread in threads:
             thread.join()
         assert sum(isinstance(answer, dict) for answer in answers) == 2
-
-
-def test_connections_that_send_nothing_are_closed(monkeypatch):
-    monkeypatch.setattr(protocols, "REQUEST_S", 0.05)
-    monkeypatch.setattr(admission, "MOST_WAITING", 2)
-    with served() as address, contextlib.ExitStack() as stack:
-        where = (address.host, address.port)
-        idle = [stack.enter_context(socket.create_connection(where, 60)) for _ in range(4)]
-        assert all(closed(connection) for connection in idle)
-        with Client(address) as client:
-            assert counted(client) == [0, 1]
 
 
 def closed(connection):

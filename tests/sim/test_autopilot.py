@@ -12,7 +12,7 @@ import pytest
 
 from cognitivedrone.sim.airframe import AIRFRAMES, GRAVITY, RACER
 from cognitivedrone.sim.autopilot import trim
-from cognitivedrone.sim.responses import ARDUCOPTER, STEPS, OwnMotion, Trace, fly, measure
+from cognitivedrone.sim.responses import ARDUCOPTER, STEPS, OwnMotion, ResponseTrace, fly, measure
 
 RECORDS = Path(__file__).parents[2].parent / "shared" / "arducopter"
 FILES = {
@@ -28,7 +28,7 @@ every_step = pytest.mark.parametrize("name", STEPS)
 
 
 @cache
-def flown(name: str, airframe: str) -> Trace:
+def flown(name: str, airframe: str) -> ResponseTrace:
     return fly(STEPS[name], OwnMotion(AIRFRAMES[airframe]))
 
 

@@ -12,18 +12,18 @@ from hypothesis import strategies as st
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.sim import simulator
 from cognitivedrone.sim.airframe import AIRFRAMES, IRIS, RACER
-from cognitivedrone.sim.dynamics import Flight, threads_for
+from cognitivedrone.sim.dynamics import BatchedFlight, threads_for
 
 CONTROL_TICKS = 40  # 10 Hz
 
 
-def tilt(flight: Flight) -> float:
+def tilt(flight: BatchedFlight) -> float:
     """Largest tilt of any drone, rad."""
     _, x, y, _ = flight.quaternion.T
     return float(np.arccos(np.minimum(1.0, 1 - 2 * (x * x + y * y))).max())
 
 
-def hold(flight: Flight, action: tuple[float, float, float, float], seconds: float) -> np.ndarray:
+def hold(flight: BatchedFlight, action: tuple[float, float, float, float], seconds: float) -> np.ndarray:
     """Send one action at 10 Hz to every drone; returns the path."""
     paths = []
     for _ in range(round(seconds * 10)):
@@ -34,7 +34,7 @@ def hold(flight: Flight, action: tuple[float, float, float, float], seconds: flo
 
 @pytest.mark.parametrize("name", AIRFRAMES)
 def test_hovers_for_a_minute_within_a_centimetre(name: str) -> None:
-    flight = Flight(1, AIRFRAMES[name])
+    flight = BatchedFlight(1, AIRFRAMES[name])
     flight.reset(0, np.array([1.0, 2.0, 0.75]), yaw=2.0)
     path = hold(flight, (0, 0, 0, 0), 60)
     assert np.abs(path - [1.0, 2.0, 0.75]).max() < 0.01
@@ -42,7 +42,7 @@ def test_hovers_for_a_minute_within_a_centimetre(name: str) -> None:
 
 
 def test_velocity_is_meant_in_the_heading_frame() -> None:
-    flight = Flight(4)
+    flight = BatchedFlight(4)
     for world, yaw in enumerate((0.0, 1.0, 2.5, -2.0)):
         flight.reset(world, np.array([0.0, 0.0, 2.0]), yaw=yaw)
     hold(flight, (1.0, 0.5, 0.2, 0.0), 3)
@@ -51,7 +51,7 @@ def test_velocity_is_meant_in_the_heading_frame() -> None:
 
 
 def test_steady_wind_costs_little() -> None:
-    calm, windy = Flight(1), Flight(1)
+    calm, windy = BatchedFlight(1), BatchedFlight(1)
     windy.reset(0, np.array([0.0, 0.0, 1.0]), wind=np.array([0.0, 0.5, 0.0]))
     a, b = hold(calm, (1, 0, 0, 0.3), 5), hold(windy, (1, 0, 0, 0.3), 5)
     assert np.abs(a - b).max() < 0.05
@@ -59,7 +59,7 @@ def test_steady_wind_costs_little() -> None:
 
 
 def test_starts_in_trim_with_speed_and_wind() -> None:
-    flight = Flight(1, IRIS)
+    flight = BatchedFlight(1, IRIS)
     flight.reset(0, np.array([0.0, 0.0, 5.0]), 0.7, np.array([2.0, -1.0, 0.3]), wind=np.array([-3.0, 4.0, 0.5]))
     path = flight.advance(400)
     np.testing.assert_allclose(path[0, -1], [2.0, -1.0, 5.3], atol=0.02)
@@ -67,7 +67,7 @@ def test_starts_in_trim_with_speed_and_wind() -> None:
 
 
 def test_tilt_stays_within_its_limit_in_full_reversals() -> None:
-    flight = Flight(2)
+    flight = BatchedFlight(2)
     flight.reset(1, np.array([0.0, 0.0, 1.0]), wind=np.array([12.0, 0.0, 0.0]))
     worst = 0.0
     for k in range(160):
@@ -80,7 +80,7 @@ def test_tilt_stays_within_its_limit_in_full_reversals() -> None:
 
 
 def test_lands_rests_and_takes_off_again() -> None:
-    flight = Flight(1)
+    flight = BatchedFlight(1)
     flight.reset(0, np.array([0.0, 0.0, 0.5]))
     hold(flight, (0, 0, -0.5, 0), 3)
     ground = flight.position[0]
@@ -94,7 +94,7 @@ def test_lands_rests_and_takes_off_again() -> None:
 
 
 def test_silence_stops_the_drone_after_three_seconds() -> None:
-    flight = Flight(1)
+    flight = BatchedFlight(1)
     hold(flight, (1.0, 0, 0, 0), 4)
     start = flight.position[0, 0]
     path = flight.advance(400 * 7)[0, :, 0]
@@ -105,7 +105,7 @@ def test_silence_stops_the_drone_after_three_seconds() -> None:
 
 
 def test_speed_and_yaw_rate_are_limited() -> None:
-    flight = Flight(1)
+    flight = BatchedFlight(1)
     flight.reset(0, np.array([0.0, 0.0, 50.0]))
     hold(flight, (1e6, 0, -1e6, 0), 8)
     assert flight.velocity[0, 0] == pytest.approx(10.0, abs=0.5)
@@ -119,7 +119,7 @@ def test_speed_and_yaw_rate_are_limited() -> None:
     "bad", [np.full((2, 4), np.nan), np.zeros((2, 3)), np.zeros(4), np.array([[0, 0, 0, np.inf]] * 2)]
 )
 def test_refuses_actions_that_cannot_be_flown(bad: np.ndarray) -> None:
-    flight = Flight(2)
+    flight = BatchedFlight(2)
     with pytest.raises(PolicyError, match=r"shape|finite"):
         flight.command(bad)
     flight.advance(4)
@@ -127,7 +127,7 @@ def test_refuses_actions_that_cannot_be_flown(bad: np.ndarray) -> None:
 
 
 def test_a_diverged_world_is_frozen_and_reported_while_others_fly_on() -> None:
-    flight, alone = Flight(3), Flight(1)
+    flight, alone = BatchedFlight(3), BatchedFlight(1)
     for world in range(3):
         flight.reset(world, np.array([0.0, 0.0, 2.0]))
     alone.reset(0, np.array([0.0, 0.0, 2.0]))
@@ -143,7 +143,7 @@ def test_a_diverged_world_is_frozen_and_reported_while_others_fly_on() -> None:
 
 
 def test_reset_is_exact() -> None:
-    flight = Flight(1)
+    flight = BatchedFlight(1)
     flight.reset(0, np.array([0.3, -0.2, 0.9]), yaw=0.4)
     state = flight.state(0)
     assert state.position.tolist() == [0.3, -0.2, 0.9]
@@ -160,11 +160,11 @@ def test_threads_of_the_physics_follow_the_work(
 ) -> None:
     taken: list[int] = []
 
-    def flight(worlds: int, *_: object, threads: int) -> Flight:
+    def flight(worlds: int, *_: object, threads: int) -> BatchedFlight:
         taken.append(threads)
-        return Flight(1)
+        return BatchedFlight(1)
 
-    monkeypatch.setattr(simulator, "Flight", flight)
+    monkeypatch.setattr(simulator, "BatchedFlight", flight)
     assert threads_for(worlds, threads) == found
     simulator.Simulator(worlds, threads=threads, render=False)
     assert taken == [found]
@@ -175,7 +175,7 @@ def test_a_flight_does_not_depend_on_the_others_nor_on_threads(worlds: int, thre
     rng = np.random.default_rng(worlds)
     actions = rng.uniform([-2, -2, -1, -1], [2, 2, 0.8, 1], (40, worlds, 4))
     starts, winds = rng.uniform([-1, -1, 0.2], [1, 1, 2], (worlds, 3)), rng.uniform(-2, 2, (worlds, 3))
-    together = Flight(worlds, threads=threads)
+    together = BatchedFlight(worlds, threads=threads)
     for _ in range(2):  # the second time after an earlier flight
         for world in range(worlds):
             together.reset(world, starts[world], yaw=world, wind=winds[world])
@@ -185,7 +185,7 @@ def test_a_flight_does_not_depend_on_the_others_nor_on_threads(worlds: int, thre
             paths.append(together.advance(CONTROL_TICKS))
         path = np.concatenate(paths, axis=1)
         for world in (0, worlds // 2, worlds - 1):
-            alone = Flight(1)
+            alone = BatchedFlight(1)
             alone.reset(0, starts[world], yaw=world, wind=winds[world])
             for k, step in enumerate(actions):
                 alone.command_one(0, step[world])
@@ -199,7 +199,7 @@ def test_a_flight_does_not_depend_on_the_others_nor_on_threads(worlds: int, thre
 @settings(max_examples=20)
 @given(st.lists(st.integers(1, 30), min_size=1, max_size=6))
 def test_how_time_is_cut_does_not_change_a_flight(cuts: list[int]) -> None:
-    whole, pieces = Flight(1), Flight(1)
+    whole, pieces = BatchedFlight(1), BatchedFlight(1)
     for flight in (whole, pieces):
         flight.command_one(0, np.array([1.0, -0.5, 0.3, 0.4]))
     whole.advance(sum(cuts))
@@ -210,9 +210,9 @@ def test_how_time_is_cut_does_not_change_a_flight(cuts: list[int]) -> None:
 
 def test_several_worlds_share_the_guidance_clock() -> None:
     with pytest.raises(ValueError, match="multiple of four"):
-        Flight(2).advance(3)
-    assert Flight(2).advance(40).shape == (2, 10, 3)
-    assert Flight(1).advance(0).shape == (1, 0, 3)
+        BatchedFlight(2).advance(3)
+    assert BatchedFlight(2).advance(40).shape == (2, 10, 3)
+    assert BatchedFlight(1).advance(0).shape == (1, 0, 3)
 
 
 def test_airframes_can_hover_and_turn() -> None:

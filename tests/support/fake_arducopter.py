@@ -14,7 +14,7 @@ import numpy as np
 
 from cognitivedrone.frames import enu_to_ned, flu_to_frd, ned_quaternion
 from cognitivedrone.sim.airframe import IRIS
-from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.sim.dynamics import BatchedFlight
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.vehicles.mavlink.server.vehicle import SimulatedVehicle, VehicleConfig, serve
 from cognitivedrone.vehicles.sitl.physics import LINEAR_THRUST, PWM_HIGH, PWM_LOW
@@ -22,7 +22,7 @@ from cognitivedrone.vehicles.sitl.physics import LINEAR_THRUST, PWM_HIGH, PWM_LO
 LEAST_SPEED = 6
 
 
-class Remote(Flight):
+class Remote(BatchedFlight):
     """Our autopilot at the controls of physics in another process."""
 
     def __init__(self, port: int) -> None:

@@ -15,7 +15,7 @@ CHECKED: tuple[str, ...] = (
     "sim.drawing.camera",
     "sim.simulator",
     "sim.drawing.views",
-    "envs.drone",
+    "envs.worlds",
     "control.loop",
 )
 CHECKED += (

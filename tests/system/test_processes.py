@@ -19,7 +19,7 @@ from cognitivedrone.cli import main
 from cognitivedrone.errors import GazeboError
 from cognitivedrone.sim.drawing import gl
 from cognitivedrone.system.processes import SAFE_PATH, STARTER, end_with_parent, environment, starting
-from cognitivedrone.vehicles.gazebo.services import ServiceProcess
+from cognitivedrone.vehicles.gazebo.bindings import ServiceProcess
 
 MODULES = ("json", "ctypes", "multiprocessing", "signal", "subprocess", "numpy", "cognitivedrone", "sitecustomize")
 MARK = "OWNED"

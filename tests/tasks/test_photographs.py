@@ -15,7 +15,7 @@ from cognitivedrone.labels.weather import split_weather, weathered
 from cognitivedrone.layout import is_clear
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.tasks.vocabulary import HELD_OUT_PICTURE_SETS
-from cognitivedrone.training.language import held_out
+from cognitivedrone.training.language import problems
 from cognitivedrone.training.perception.pictures import may_train
 
 PACK = load_pack()
@@ -45,7 +45,7 @@ def test_every_panel_of_photos_and_wild_is_drawn_and_none_may_be_trained_on():
         for label, option in zip(task.labels, task.options, strict=True):
             assert concept(label).endswith(f"/{option}")
         assert len(set(map(concept, task.labels))) == 3
-        assert held_out.is_held_out(task.instruction)
+        assert problems.is_held_out(task.instruction)
 
 
 def test_named_things_are_named_and_what_is_excluded_is_wrong():

@@ -32,7 +32,7 @@ from cognitivedrone.tasks import (
 from cognitivedrone.tasks.build import build_suite, suite_text
 from cognitivedrone.tasks.generate import HELD_OUT, TRAIN
 from cognitivedrone.tasks.suites import AUTHORED, BUILT, FIXED, drawn_task
-from cognitivedrone.training.language import held_out
+from cognitivedrone.training.language import problems
 from cognitivedrone.types import CATEGORIES, COLORS, SHAPES, SIZES, Task
 
 WORDS = ("open-v2:words", "open-v3:words")
@@ -212,7 +212,7 @@ def test_words_has_a_hundred_tasks_a_category_of_every_family_of_single_tasks(na
 @pytest.mark.parametrize("name", AUTHORED)
 def test_sentences_are_short_printable_and_all_different(name: str) -> None:
     sentences = [task.instruction for task in tasks_of(load_suite(name))]
-    assert len({held_out.plain(text) for text in sentences}) == len(sentences)
+    assert len({problems.plain(text) for text in sentences}) == len(sentences)
     for text in sentences:
         assert 1 <= len(text) <= 200
         assert text.isprintable()
@@ -228,7 +228,7 @@ def test_words_shows_only_what_training_shows(name: str) -> None:
 
 
 def test_later_words_are_longer_and_share_no_sentence_with_the_earlier() -> None:
-    earlier, later = ([held_out.plain(t.instruction) for t in tasks_of(load_suite(name))] for name in WORDS)
+    earlier, later = ([problems.plain(t.instruction) for t in tasks_of(load_suite(name))] for name in WORDS)
     assert not {*earlier} & {*later}
     assert np.median([len(text.split()) for text in later]) >= 2 * np.median([len(text.split()) for text in earlier])
 

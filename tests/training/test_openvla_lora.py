@@ -34,12 +34,14 @@ from cognitivedrone.models.openvla.prepare import END, ImagePreparation, prompt_
 from cognitivedrone.models.openvla.tensors import elements, unused_tensors, used_tensors
 from cognitivedrone.models.openvla.weights import load
 from cognitivedrone.training.openvla import lora as openvla_lora
-from cognitivedrone.training.openvla.adapters import add_adapters, cast_inputs, take_adapters
-from cognitivedrone.training.openvla.base import (
+from cognitivedrone.training.openvla.adapters import (
+    add_adapters,
+    cast_inputs,
     check_machine,
     fitted,
     needed_bytes,
     read_base,
+    take_adapters,
     trained_weights,
 )
 from cognitivedrone.training.openvla.data import SampleMaker, answer_measures, open_flights, rows_of_step

@@ -27,12 +27,10 @@ from cognitivedrone.training.perception import calibration
 from cognitivedrone.training.perception.attributes import ATTRIBUTES, AttributeIndex
 from cognitivedrone.training.perception.panel_crops import PanelCrops
 from cognitivedrone.training.perception.readings import Readings
-from cognitivedrone.training.reasoner.export import export_selector
-from cognitivedrone.training.reasoner.pretrained import PACKAGE
 from cognitivedrone.training.reasoner.reader import ReaderTraining
-from cognitivedrone.training.reasoner.selector import SELECTOR, Encoder, SelectorTraining, look_of
-from cognitivedrone.training.reasoner.trained import trained_selector
-from cognitivedrone.training.small_vla.trained import load_trained
+from cognitivedrone.training.reasoner.selector import SELECTOR, SelectorEncoder, SelectorTraining, look_of
+from cognitivedrone.training.reasoner.selector_files import PACKAGE, export_selector, trained_selector
+from cognitivedrone.training.small_vla.export import load_trained
 from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint
 from cognitivedrone.training.trainer.run_log import METRICS, read_rows
 from cognitivedrone.training.trainer.start import read_start
@@ -133,7 +131,7 @@ def test_a_temperature_undoes_too_much_certainty() -> None:
 
 def test_what_is_told_without_doubt_is_the_truth(training_task: SelectorTraining) -> None:
     problems = drawn(SELECTOR.mix, 80)
-    encoder = Encoder(0.0, SceneTokenizer(training_task.pieces), Readings(INDEX))
+    encoder = SelectorEncoder(0.0, SceneTokenizer(training_task.pieces), Readings(INDEX))
     readings = Readings(INDEX)
     for problem in problems:
         scene = encoder.scene(np.random.default_rng(2), problem)
@@ -145,7 +143,7 @@ def test_what_is_told_without_doubt_is_the_truth(training_task: SelectorTraining
 
 
 def test_batches_have_problems_of_similar_lengths(training_task: SelectorTraining) -> None:
-    encoder = Encoder(0.5, SceneTokenizer(training_task.pieces), Readings(INDEX))
+    encoder = SelectorEncoder(0.5, SceneTokenizer(training_task.pieces), Readings(INDEX))
     problems = drawn(SELECTOR.mix, 90)
     batches = encoder.batches(np.random.default_rng(0), problems, 20)
     assert sum(len(batch["target"]) for batch in batches) == len(problems)
@@ -159,7 +157,7 @@ def test_batches_have_problems_of_similar_lengths(training_task: SelectorTrainin
 
 def test_a_readers_doubts_reach_the_gate_selector(training_task: SelectorTraining) -> None:
     problems = drawn(SELECTOR.mix, 60)
-    noisy, exact = training_task._encoder(), Encoder(0.0, SceneTokenizer(training_task.pieces), Readings(INDEX))
+    noisy, exact = training_task._encoder(), SelectorEncoder(0.0, SceneTokenizer(training_task.pieces), Readings(INDEX))
     changed = [
         (noisy.scene(np.random.default_rng(2), each).panels != exact.scene(np.random.default_rng(2), each).panels).any()
         for each in problems
@@ -202,7 +200,7 @@ def test_the_gate_selector_learns_a_batch_by_heart(family: str, training_task: S
     problems = drawn(mix, 32)
     if family == "absent":
         problems += drawn(replace(mix, families={"animals": 1.0}), 32)
-    encoder = Encoder(0.5, SceneTokenizer(training_task.pieces), Readings(INDEX))
+    encoder = SelectorEncoder(0.5, SceneTokenizer(training_task.pieces), Readings(INDEX))
     (encoded,) = encoder.batches(np.random.default_rng(3), problems, 64)
     batch = to_tensors(encoded)
     loss_module = training_task.loss_module(training_task.network())
@@ -244,7 +242,7 @@ def test_the_gate_selector_in_onnx_answers_as_in_torch(
     assert calibrated.tokenizer.pieces == model.tokenizer.pieces == training_task.pieces
     assert model.notes == {}
     selector = trained_selector(read_start(reasoner_parts / CHECKPOINT, "selector"))
-    encoder = Encoder(0.0, model.tokenizer, Readings(INDEX))
+    encoder = SelectorEncoder(0.0, model.tokenizer, Readings(INDEX))
     for batch in encoder.batches(np.random.default_rng(0), drawn(SELECTOR.mix, 20), 7):
         with torch.no_grad():
             expected = selector(*(torch.from_numpy(batch[name]) for name in INPUTS)).numpy()

@@ -23,7 +23,7 @@ from cognitivedrone.models.small_file import SmallModel
 from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.training.language.problems import ABSENT, Mix, Problems
 from cognitivedrone.training.perception.attributes import AttributeIndex
-from cognitivedrone.training.small_vla.trained import load_trained
+from cognitivedrone.training.small_vla.export import load_trained
 from cognitivedrone.training.teach.lesson import attribute_of, read_lesson, spoken
 from cognitivedrone.training.teach.practice import LessonCrops, LessonProblems, varied
 from cognitivedrone.training.teach.training import TEACH, TeachTraining, summary_of

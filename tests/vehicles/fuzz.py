@@ -9,7 +9,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as m
 
-from cognitivedrone.vehicles.mavlink.client.link.connection import Connection
+from cognitivedrone.vehicles.mavlink.client.link.connection import MavlinkConnection
 from cognitivedrone.vehicles.mavlink.client.link.traffic import COMMANDING, MISSION_ITEMS
 
 VEHICLE, STRANGER = 1, 2
@@ -50,10 +50,10 @@ class Fed:
         self._near.close()
 
 
-def connected() -> tuple[Connection, Fed]:
+def connected() -> tuple[MavlinkConnection, Fed]:
     """A connection that has met its vehicle; whoever made it calls `step`."""
     transport = Fed()
-    link = Connection(transport, threaded=False)
+    link = MavlinkConnection(transport, threaded=False)
     transport.feed(packed(BEAT), VEHICLE)
     link.step(0.0)
     assert link.vehicle is not None

@@ -6,7 +6,7 @@ import pytest
 from fuzz import BEAT, packed
 from pymavlink.dialects.v20 import ardupilotmega as m
 
-from cognitivedrone.vehicles.mavlink.client.link.decoder import NEEDED, OTHERS_HZ, Decoder, number_of
+from cognitivedrone.vehicles.mavlink.client.link.traffic import NEEDED, OTHERS_HZ, MessageDecoder, number_of
 
 TEXT = m.MAVLink_statustext_message(3, b"again")
 NAMES = {
@@ -36,7 +36,7 @@ def test_a_signed_packet_is_read_as_well():
 
 
 def test_a_flood_of_texts_is_dropped_and_every_heartbeat_between_them_is_decoded():
-    decoder, texts, beats = Decoder(datagrams=True), 0, 0
+    decoder, texts, beats = MessageDecoder(datagrams=True), 0, 0
     for step in range(5000):
         now = 100 + step / 5000
         texts += len(list(decoder.messages(packed(TEXT), now)))
@@ -51,6 +51,6 @@ def test_a_flood_of_texts_is_dropped_and_every_heartbeat_between_them_is_decoded
 
 
 def test_a_stream_is_decoded_across_its_reads():
-    decoder, data = Decoder(datagrams=False), packed(BEAT) + packed(TEXT)
+    decoder, data = MessageDecoder(datagrams=False), packed(BEAT) + packed(TEXT)
     found = [message.get_type() for byte in data for message in decoder.messages(bytes([byte]), 0.0)]
     assert found == ["HEARTBEAT", "STATUSTEXT"]

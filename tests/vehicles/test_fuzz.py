@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as m
 from cognitivedrone.control.safety import Memory, SafetyConfig, decide, order, shape
 from cognitivedrone.vehicles.mavlink.client.health import Asked, Baseline, health_of
 from cognitivedrone.vehicles.mavlink.client.link import connection
-from cognitivedrone.vehicles.mavlink.client.link.connection import Connection
+from cognitivedrone.vehicles.mavlink.client.link.connection import MavlinkConnection
 
 LOITER = m.MAVLink_heartbeat_message(2, 3, 0x81, 5, 4, 3)
 
@@ -34,7 +34,7 @@ def test_a_vehicle_may_move_but_what_queued_up_during_a_stop_of_ours_is_no_move(
     link.close()
 
 
-def held_true(link: Connection) -> tuple[object, ...]:
+def held_true(link: MavlinkConnection) -> tuple[object, ...]:
     telemetry = replace(link.telemetry, received_at=0, heartbeat_at=0, position=np.zeros(3), velocity=np.zeros(3))
     traffic = replace(link.traffic, ignored=0, broken=0, impostor_at=0)
     known = np.isfinite(link.telemetry.position).all()

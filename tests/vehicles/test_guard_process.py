@@ -31,7 +31,7 @@ from cognitivedrone.vehicles.mavlink.client.link import tlog
 from cognitivedrone.vehicles.mavlink.client.link.tlog import PacketLog
 from cognitivedrone.vehicles.mavlink.client.link.transport import LARGEST_BACKLOG, open_transport
 from cognitivedrone.vehicles.mavlink.guard import process
-from cognitivedrone.vehicles.mavlink.guard.drone import GuardedDrone
+from cognitivedrone.vehicles.mavlink.guard.drone import SupervisedDrone
 from cognitivedrone.vehicles.mavlink.guard.messages import (
     LARGEST_RATE,
     MESSAGE_BYTES,
@@ -49,9 +49,9 @@ STOP = (0.0, 0.0, 0.0, 0.0)
 
 
 @contextmanager
-def connected(peer: Peer, safety: SafetyConfig = CALM, config: MavlinkConfig = SURE) -> Iterator[GuardedDrone]:
+def connected(peer: Peer, safety: SafetyConfig = CALM, config: MavlinkConfig = SURE) -> Iterator[SupervisedDrone]:
     """A drone on the ground, and no guard that outlives the test."""
-    drone = GuardedDrone(f"udpout:127.0.0.1:{peer.port}", StillCamera(), safety, config)
+    drone = SupervisedDrone(f"udpout:127.0.0.1:{peer.port}", StillCamera(), safety, config)
     try:
         yield drone
         drone.close()
@@ -62,7 +62,7 @@ def connected(peer: Peer, safety: SafetyConfig = CALM, config: MavlinkConfig = S
 
 
 @contextmanager
-def flying(peer: Peer, safety: SafetyConfig = CALM, config: MavlinkConfig = SURE) -> Iterator[GuardedDrone]:
+def flying(peer: Peer, safety: SafetyConfig = CALM, config: MavlinkConfig = SURE) -> Iterator[SupervisedDrone]:
     with connected(peer, safety, config) as drone:
         drone.take_off(lambda _: True)
         drone.observe()
@@ -70,7 +70,7 @@ def flying(peer: Peer, safety: SafetyConfig = CALM, config: MavlinkConfig = SURE
         yield drone
 
 
-def end(drone: GuardedDrone) -> None:
+def end(drone: SupervisedDrone) -> None:
     drone._process.kill()
     drone._process.wait()
 
@@ -86,9 +86,9 @@ import numpy as np
 from peer import StillCamera
 from cognitivedrone.control.safety import SafetyConfig, Timeouts
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
-from cognitivedrone.vehicles.mavlink.guard.drone import GuardedDrone
+from cognitivedrone.vehicles.mavlink.guard.drone import SupervisedDrone
 safety, config = SafetyConfig({rules}), MavlinkConfig(takeoff_timeout_s=60)
-drone = GuardedDrone("udpout:127.0.0.1:{port}", StillCamera(), safety, config)
+drone = SupervisedDrone("udpout:127.0.0.1:{port}", StillCamera(), safety, config)
 print(drone.process, flush=True)
 drone.take_off(lambda _: True)
 print("flying", flush=True)
@@ -208,7 +208,7 @@ def test_a_link_that_cannot_be_opened():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         with pytest.raises(LinkError, match="is the port right, and free"):
-            GuardedDrone(f"udp:127.0.0.1:{taken.getsockname()[1]}", StillCamera())
+            SupervisedDrone(f"udp:127.0.0.1:{taken.getsockname()[1]}", StillCamera())
 
 
 def test_the_guard_loads_nothing_heavy():
@@ -270,7 +270,7 @@ def children(process: int) -> list[int]:
     return list(map(int, Path(f"/proc/{process}/task/{process}/children").read_text().split()))
 
 
-def raw(drone: GuardedDrone, data: bytes) -> None:
+def raw(drone: SupervisedDrone, data: bytes) -> None:
     drone._socket.send(data)
 
 
@@ -386,7 +386,7 @@ def test_after_a_take_over_the_operator_dismisses_it():
 
 def test_a_link_that_is_cut_is_opened_again_to_land():
     with socket.create_server(("127.0.0.1", 0)) as server, playing() as peer, Router(server, peer) as router:
-        drone = GuardedDrone(f"tcp:127.0.0.1:{server.getsockname()[1]}", StillCamera(), CALM, SURE)
+        drone = SupervisedDrone(f"tcp:127.0.0.1:{server.getsockname()[1]}", StillCamera(), CALM, SURE)
         try:
             drone.take_off(lambda _: True)
             drone.send(FORWARD)

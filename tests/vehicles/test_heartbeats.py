@@ -22,8 +22,7 @@ from cognitivedrone.vehicles.mavlink import telemetry
 from cognitivedrone.vehicles.mavlink.autopilot import PX4
 from cognitivedrone.vehicles.mavlink.client import core
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
-from cognitivedrone.vehicles.mavlink.client.handover import ENDS_BY_ITSELF, must_beat
-from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
+from cognitivedrone.vehicles.mavlink.client.handshake import ENDS_BY_ITSELF, MavlinkConfig, must_beat
 from cognitivedrone.vehicles.mavlink.client.health import grounded
 from cognitivedrone.vehicles.mavlink.client.link.heartbeats import (
     LASTS_IN_DOUBT_S,
@@ -34,7 +33,7 @@ from cognitivedrone.vehicles.mavlink.client.link.heartbeats import (
     heard,
 )
 from cognitivedrone.vehicles.mavlink.guard import drone as guard_drone
-from cognitivedrone.vehicles.mavlink.guard.drone import GuardedDrone
+from cognitivedrone.vehicles.mavlink.guard.drone import SupervisedDrone
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry
 
 GUIDED = Flown(frozenset({"GUIDED"}), armed=True, grounded="unproven")
@@ -393,7 +392,7 @@ def test_a_landing_that_nobody_can_see_ends_with_a_sentence(monkeypatch, guarded
         monkeypatch.setattr(telemetry, "LANDING_SILENT_S", 0.5)
     with playing() as peer:
         url, camera = f"udpout:127.0.0.1:{peer.port}", StillCamera()
-        drone = GuardedDrone(url, camera, RULES, FAST) if guarded else MavlinkDrone(url, camera, Guard(RULES), FAST)
+        drone = SupervisedDrone(url, camera, RULES, FAST) if guarded else MavlinkDrone(url, camera, Guard(RULES), FAST)
         try:
             drone.take_off(lambda _: True)
             peer.part.quiet = frozenset({"HEARTBEAT", "ATTITUDE", "LOCAL_POSITION_NED", "SYS_STATUS"})
@@ -401,6 +400,6 @@ def test_a_landing_that_nobody_can_see_ends_with_a_sentence(monkeypatch, guarded
             with pytest.raises(LinkError, match=r"no heartbeat of the vehicle for \d+ s.*take over by hand"):
                 drone.close()
         finally:
-            if isinstance(drone, GuardedDrone):
+            if isinstance(drone, SupervisedDrone):
                 drone._process.kill()
                 drone._process.wait()

@@ -18,7 +18,7 @@ from cognitivedrone.errors import LinkError, PolicyError, RunError
 from cognitivedrone.frames import quaternion_from_yaw, wrap_angle, yaw_of
 from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, Start
-from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.sim.dynamics import BatchedFlight
 from cognitivedrone.types import DroneState
 from cognitivedrone.vehicles.external import LinkReport, placed
 from cognitivedrone.vehicles.sitl.flight import STILL_M_S, SitlFlight
@@ -30,7 +30,7 @@ class FakeVehicle:
     """Flies as our own autopilot does, far from where the benchmark thinks it is; every tick is three frames."""
 
     def __init__(self) -> None:
-        self.flight = Flight(1, IRIS)
+        self.flight = BatchedFlight(1, IRIS)
         self.flight.reset(0, np.array([30.0, -40.0, 1.5]), 2.0)
         self.plant = SimpleNamespace(time=100.0, wind=(0.0, 0.0, 0.0), state=lambda: self.flight.state(0))
         self.frames = self.lost = 0
@@ -43,9 +43,9 @@ class FakeVehicle:
 
     def go_on(self, until: float) -> None:
         self.listen()
-        ticks = round((until - self.plant.time) / Flight.TICK_S)
+        ticks = round((until - self.plant.time) / BatchedFlight.TICK_S)
         self.flight.advance(ticks)
-        self.plant.time += ticks * Flight.TICK_S
+        self.plant.time += ticks * BatchedFlight.TICK_S
         self.frames += 3 * ticks
 
     def listen(self) -> None:
@@ -98,7 +98,7 @@ def test_it_hovers_at_the_start_wherever_it_has_been(flight, vehicles, place, ya
 
 def test_it_is_seen_as_our_own_flight_would_be(flight, vehicles):
     flight.begin(Start((0.0, 0.0, 1.0)))
-    twin = Flight(1, IRIS)
+    twin = BatchedFlight(1, IRIS)
     for ticks in (40, 7, 1, 12, 0, 3):
         assert flight.advance(ticks).shape == twin.advance(ticks)[0].shape
     fly(flight, (1.0, 0.0, 0.0, 0.5), 1.0)

@@ -14,7 +14,7 @@ from cognitivedrone.apps.values import EndKind, Summary
 from cognitivedrone.apps.view import SILENT, say
 from cognitivedrone.errors import CognitiveDroneError
 from cognitivedrone.film.frame import Film, FilmFrame, Scene, Verdict
-from cognitivedrone.film.page import write_flight
+from cognitivedrone.film.movie import write_flight
 from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.tasks.missions import is_mission, sub_goals
 from cognitivedrone.terminal import console as stderr_console

@@ -21,7 +21,7 @@ from cognitivedrone.apps.values import Step, Summary
 from cognitivedrone.choices import AnswerKind, DecisionKind, EventKind, ReasonerFault
 from cognitivedrone.control.async_reasoner import ANSWER_S
 from cognitivedrone.control.loop import LATE_S
-from cognitivedrone.film.page import FILM_FILE, PAGE_FILE
+from cognitivedrone.film.movie import FILM_FILE, PAGE_FILE
 from cognitivedrone.text.printable import visible
 from cognitivedrone.types import Event, FloatArray
 

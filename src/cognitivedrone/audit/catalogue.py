@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from cognitivedrone.audit import missions, scenes
-from cognitivedrone.audit.missions import TrackChange
-from cognitivedrone.audit.scenes import Change
+from cognitivedrone.audit import scenes
+from cognitivedrone.audit.scenes import Change, TrackChange
 
 Expected = Literal["as before", "follows", "same choice", "chance"]
 """`as before`: the rate falls by at most `FALL`. `follows`: the gate that is now right, in at least `FOLLOWED` of the
@@ -87,8 +86,8 @@ AUDITS: tuple[Audit, ...] = (
         "When the sub-goals of a mission change places, does it follow the new order?",
         "follows",
         (
-            Variant("in order", mission=missions.in_order(swapped=False), seed_name="order"),
-            Variant("the other way round", mission=missions.in_order(swapped=True), seed_name="order"),
+            Variant("in order", mission=scenes.in_order(swapped=False), seed_name="order"),
+            Variant("the other way round", mission=scenes.in_order(swapped=True), seed_name="order"),
         ),
     ),
     Audit(

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from PIL import Image as PillowImage
 
-from cognitivedrone.interfaces import Policy, Reasoner
+from cognitivedrone.interfaces import PlugIn, Policy, Reasoner
 from cognitivedrone.policies import make_policy
 from cognitivedrone.reasoners import make_reasoner
-from cognitivedrone.types import ActionChunk, EpisodeContext, Guidance, Image, Observation, SubGoal
+from cognitivedrone.types import ActionChunk, Guidance, Image, Observation
 
 _GAMMA = 2.2
 
@@ -48,13 +48,22 @@ class Filter:
         return np.asarray(turned)[edge : edge + height, edge : edge + width].copy()
 
 
-class FilteredPolicy(Policy):
+class _Filtered(PlugIn):
+    """A pilot's part behind a filter; all but what it sees is its own."""
+
+    def __init__(self, part: PlugIn, camera: Filter) -> None:
+        self.camera = camera
+        self.needs_ground_truth, self.needs_seed = part.needs_ground_truth, part.needs_seed
+        self.needs_down_camera = part.needs_down_camera
+        self.reset, self.check, self.close = part.reset, part.check, part.close  # type: ignore[method-assign]
+
+
+class FilteredPolicy(_Filtered, Policy):
     """A policy behind a filter."""
 
     def __init__(self, policy: str, light: float = 1.0, roll_deg: float = 0.0, shift_px: float = 0.0) -> None:
-        self._filter, self._policy = Filter(light, roll_deg, shift_px), make_policy(policy)
-        self.needs_ground_truth, self.needs_seed = self._policy.needs_ground_truth, self._policy.needs_seed
-        self.needs_down_camera = self._policy.needs_down_camera
+        self._policy = make_policy(policy)
+        super().__init__(self._policy, Filter(light, roll_deg, shift_px))
 
     @property
     def declines(self) -> bool:  # type: ignore[override]
@@ -66,49 +75,21 @@ class FilteredPolicy(Policy):
         """As the policy."""
         return self._policy.present
 
-    def reset(self, context: EpisodeContext) -> None:
-        """As the policy."""
-        self._policy.reset(context)
-
-    def check(self) -> None:
-        """As the policy."""
-        self._policy.check()
-
     def act(self, observation: Observation) -> ActionChunk:
         """As the policy, of the filtered picture."""
-        down = None if observation.down is None else self._filter(observation.down)
-        return self._policy.act(replace(observation, image=self._filter(observation.image), down=down))
-
-    def close(self) -> None:
-        """As the policy."""
-        self._policy.close()
+        down = None if observation.down is None else self.camera(observation.down)
+        return self._policy.act(replace(observation, image=self.camera(observation.image), down=down))
 
 
-class FilteredReasoner(Reasoner):
+class FilteredReasoner(_Filtered, Reasoner):
     """A reasoner behind a filter."""
 
     def __init__(self, reasoner: str, light: float = 1.0, roll_deg: float = 0.0, shift_px: float = 0.0) -> None:
         made = make_reasoner(reasoner)
         assert made is not None  # noqa: S101  ("none" is not filtered)
-        self._filter, self._reasoner = Filter(light, roll_deg, shift_px), made
-        self.needs_ground_truth, self.needs_seed = made.needs_ground_truth, made.needs_seed
-
-    def reset(self, context: EpisodeContext) -> None:
-        """As the reasoner."""
-        self._reasoner.reset(context)
-
-    def check(self) -> None:
-        """As the reasoner."""
-        self._reasoner.check()
+        super().__init__(made, Filter(light, roll_deg, shift_px))
+        self._refine, self.plan = made.refine, made.plan  # type: ignore[method-assign]
 
     def refine(self, image: Image, instruction: str) -> Guidance:
         """As the reasoner, of the filtered picture."""
-        return self._reasoner.refine(self._filter(image), instruction)
-
-    def plan(self, mission: str) -> tuple[SubGoal, ...] | None:
-        """As the reasoner."""
-        return self._reasoner.plan(mission)
-
-    def close(self) -> None:
-        """As the reasoner."""
-        self._reasoner.close()
+        return self._refine(self.camera(image), instruction)

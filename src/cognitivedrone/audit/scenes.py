@@ -1,6 +1,7 @@
-"""Changes of a task's scene or sentence. Pure functions of a task and a random generator.
+"""Changes of a task's scene or sentence, and of a mission. Pure functions of a task or track and a random generator.
 
-Each returns the changed task with the gate that is then right, or None where the change does not apply to a task.
+Each returns the changed task with the gate that is then right, or the changed track; None where the change does not
+apply.
 """
 
 from __future__ import annotations
@@ -15,10 +16,12 @@ import numpy as np
 from cognitivedrone.layout import GATE_HEIGHT, GATE_XY, GATE_YAWS, draw_layout, is_clear
 from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks.directives import write_directive
+from cognitivedrone.tasks.missions import sub_goals
 from cognitivedrone.tasks.people import FEATURES, parse_person
-from cognitivedrone.types import Gate, GatePlace, Layout, Task
+from cognitivedrone.types import Gate, GatePlace, Layout, Task, Track
 
 Change = Callable[[np.random.Generator, Task], Task | None]
+TrackChange = Callable[[np.random.Generator, Track], Track | None]
 
 BLANK = "."
 """The shortest instruction that a task may have, without any word."""
@@ -200,3 +203,50 @@ def _panels(task: Task, order: list[int]) -> Task:
 def _aimed(task: Task, target: int) -> Task:
     gate: Gate = task.gates[target]
     return replace(task, target=target, directive=write_directive(gate))
+
+
+def in_order(*, swapped: bool) -> TrackChange:
+    """Two gates of the mission, asked for in plain words in their order, or in the other one.
+
+    Both stages show both things, so that only the sentence says which comes first. The scenes are those of the mission,
+    the same in either order; a landing and what else the sentence asks for are left out.
+    """
+
+    def change(rng: np.random.Generator, track: Track) -> Track | None:
+        stages = [task for task in track if not task.landing and task.board is None and task.target is not None]
+        for first, second in ((one, two) for number, one in enumerate(stages) for two in stages[number + 1 :]):
+            shown = [_shown(task, rng.permutation(3).tolist(), first, second) for task in (first, second)]
+            phrases = [phrase_of(shown[0].labels, shown[0].labels.index(_right(task))) for task in (first, second)]
+            if None in phrases:
+                continue
+            asked = [0, 1] if not swapped else [1, 0]
+            sentence = f"First {phrases[asked[0]]}, then {phrases[asked[1]]}"
+            if len(sub_goals(sentence)) == 2:
+                rights = [_right((first, second)[number]) for number in asked]
+                return tuple(_asked(task, right, sentence) for task, right in zip(shown, rights, strict=True))
+        return None
+
+    return change
+
+
+def _right(task: Task) -> str:
+    """The label of the right gate."""
+    return task.labels[task.target or 0]
+
+
+def _shown(task: Task, order: list[int], first: Task, second: Task) -> Task:
+    """The task with the right panels of both, and a wrong one of the first, from left to right in `order`."""
+    other = next((place for place in range(3) if first.labels[place] not in (_right(first), _right(second))), 0)
+    panels = [(each.labels[place], each.options[place]) for each, place in (
+        (first, first.target or 0), (second, second.target or 0), (first, other)
+    )]  # fmt: skip
+    (a, x), (b, y), (c, z) = (panels[place] for place in order)
+    return replace(task, labels=(a, b, c), options=(x, y, z))
+
+
+def _asked(task: Task, right: str, mission: str) -> Task:
+    target = task.labels.index(right)
+    phrase = phrase_of(task.labels, target)
+    directive = write_directive(task.gates[target])
+    said = f"Fly through the gate with {phrase}"
+    return replace(task, target=target, directive=directive, instruction=said, mission=mission)

@@ -137,7 +137,7 @@ def check_world(files: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     Args:
         files: Worlds or models.
     """
-    from cognitivedrone.vehicles.gazebo.worlds.check import check as check_files
+    from cognitivedrone.vehicles.gazebo.worlds.export import check as check_files
 
     print(visible(f"{len(files)} passed {check_files(files)}"))  # noqa: T201
 

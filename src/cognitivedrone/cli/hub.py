@@ -26,7 +26,7 @@ def push(
         public: Let everybody read a new repository; it is private otherwise.
         dry_run: List files and sizes, and send nothing.
     """
-    from cognitivedrone.hub.contents import contents_of, size_text
+    from cognitivedrone.hub import contents_of, size_text
 
     if dry_run:
         shared = contents_of(folder)
@@ -35,7 +35,7 @@ def push(
         total = f"{len(shared.files)} files, {size_text(shared.bytes)}"
         print(visible(f"a {shared.kind} of {total}; nothing was sent"))  # noqa: T201
         return
-    from cognitivedrone.hub.transfer import push as send
+    from cognitivedrone.hub import push as send
 
     done = send(folder, name, public=public)
     print(visible(f"{done.endpoint}/{done.name}: a {done.kind}, revision {done.revision}"))  # noqa: T201
@@ -61,8 +61,8 @@ def pull(
         revision: Branch, tag or commit.
         max_gb: Largest size, GB.
     """
-    from cognitivedrone.hub.contents import size_text
-    from cognitivedrone.hub.transfer import pull as fetch
+    from cognitivedrone.hub import pull as fetch
+    from cognitivedrone.hub import size_text
 
     done = fetch(name, folder, revision=revision, max_gb=max_gb)
     summary = f"{folder}: a {done.kind} of {done.files} files, {size_text(done.bytes)}, revision {done.revision}"

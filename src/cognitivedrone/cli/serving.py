@@ -30,7 +30,7 @@ def serve(plan: Annotated[Flat[ServePlan], tyro.conf.arg(name="")]) -> None:
     for package in ("uvicorn", "starlette", "websockets", "msgpack"):
         import_extra(package, EXTRA)
     from cognitivedrone.apps.watchdog import end_lingering
-    from cognitivedrone.serving.announce import announced, logging_to_stderr
+    from cognitivedrone.serving.server import announced, logging_to_stderr
     from cognitivedrone.serving.server import serve as run
 
     threads = frozenset(threading.enumerate())

@@ -24,10 +24,9 @@ from cognitivedrone.files.locks import sole_writer
 from cognitivedrone.labels.folder import digest_of_labels
 from cognitivedrone.policies import POLICIES, make_policy
 from cognitivedrone.rollout import cards
-from cognitivedrone.rollout.cluster import import_ray
 from cognitivedrone.rollout.pool import InProcess, Pool, WorkerCrash
 from cognitivedrone.rollout.process_pool import ProcessPool, no_processes, say_in_process
-from cognitivedrone.rollout.ray_pool import RayPool
+from cognitivedrone.rollout.ray_pool import RayPool, import_ray
 from cognitivedrone.terminal.progress import progress_bar
 
 

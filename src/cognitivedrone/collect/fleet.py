@@ -17,9 +17,8 @@ from cognitivedrone.collect.perturbation import Disturbance, disturb, draw_begin
 from cognitivedrone.collect.recipe import Recipe
 from cognitivedrone.control.calls import begin_stage, check_chunk, seed_of
 from cognitivedrone.data.episode import Conditions, Episode, encode_image
-from cognitivedrone.envs.drone import clip_action, proprioception
 from cognitivedrone.envs.track_runner import TrackConfig, episode_rng
-from cognitivedrone.envs.worlds import Worlds
+from cognitivedrone.envs.worlds import Worlds, clip_action, proprioception
 from cognitivedrone.errors import CognitiveDroneError, DataError, NonFiniteAction, PolicyError
 from cognitivedrone.interfaces import Policy, PolicyLike
 from cognitivedrone.labels import load_pack

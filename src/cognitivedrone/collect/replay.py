@@ -10,7 +10,7 @@ from cognitivedrone.data.episode import Episode
 from cognitivedrone.errors import DataError, did_you_mean
 from cognitivedrone.sim.airframe import AIRFRAMES
 from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL
-from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.sim.dynamics import BatchedFlight
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ def replay(episode: Episode) -> ReplayReport:
         raise DataError(
             f"episode {episode.index} was flown by airframe {name!r}, unknown here; {did_you_mean(name, AIRFRAMES)}"
         )
-    flight = Flight(1, AIRFRAMES[name])
+    flight = BatchedFlight(1, AIRFRAMES[name])
     flight.reset(0, np.array(start.start_position), start.start_yaw, wind=np.array(start.wind))
     positions, quaternions = [], []
     for action in episode.sent:

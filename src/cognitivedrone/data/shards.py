@@ -21,7 +21,6 @@ from cognitivedrone import files
 from cognitivedrone.data.disk import MAX_SHARD_BYTES, MAX_TEXT_BYTES, clear_errors, write_atomically
 from cognitivedrone.data.episode import Conditions, Episode
 from cognitivedrone.data.forms import check_footer
-from cognitivedrone.data.pages import check_pages
 from cognitivedrone.data.statistics import Flown
 from cognitivedrone.errors import CognitiveDroneError, DataError
 from cognitivedrone.tasks.format import task_from_json, task_to_json
@@ -178,7 +177,6 @@ class ShardFile:
             files.check_regular(path, MAX_SHARD_BYTES)
             self._file = pq.ParquetFile(path, memory_map=True)
             check_unpacked_size(self._file.metadata, path.stat().st_size)
-            check_pages(path, self._file.metadata)
             self._schema = DOWN_SCHEMA if DOWN in self._file.schema_arrow.names else SCHEMA
             held = (self._file.metadata.metadata or {}).get(FOOTER_KEY.encode(), b"")
             footer = parse_json(held, max_bytes=MAX_TEXT_BYTES)

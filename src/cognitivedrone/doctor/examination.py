@@ -14,10 +14,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from cognitivedrone.doctor.faults import IMAGES, RANGES, STATES
-from cognitivedrone.doctor.finding import Answer, Finding
 from cognitivedrone.doctor.subject import (
+    IMAGES,
     LIMITS,
+    RANGES,
+    STATES,
+    Answer,
+    Finding,
     ImageChange,
     Numbers,
     Question,
@@ -33,7 +36,7 @@ from cognitivedrone.doctor.subject import (
     with_image,
     with_images,
 )
-from cognitivedrone.doctor.views import View
+from cognitivedrone.doctor.views import LabelledView
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.types import CONTROL_HZ
 
@@ -58,7 +61,7 @@ SAME = 1e-6
 AXES = ("vx (forward)", "vy (left)", "vz (up)", "yaw_rate (left)")
 
 
-def examine(subject: Subject, views: list[View]) -> Iterator[Finding]:
+def examine(subject: Subject, views: list[LabelledView]) -> Iterator[Finding]:
     """Examine a policy by views; yields a finding for each question. Takes about a thousand calls of the policy.
 
     What the policy does wrong is a finding and never raised. A policy whose answers are no commands is asked nothing
@@ -76,7 +79,7 @@ def examine(subject: Subject, views: list[View]) -> Iterator[Finding]:
 class _Examination:
     """The questions, and the answers that several of them need."""
 
-    def __init__(self, subject: Subject, views: list[View]) -> None:
+    def __init__(self, subject: Subject, views: list[LabelledView]) -> None:
         self.subject = subject
         self.privileged = subject.policy.needs_ground_truth
         self.still = [view for view in views if not view.flying]
@@ -107,12 +110,12 @@ class _Examination:
 
     # ---- what is asked
 
-    def right(self, views: list[View]) -> list[Question]:
+    def right(self, views: list[LabelledView]) -> list[Question]:
         """The right gate, by directive."""
         gates = [(view, int(view.task.target or 0)) for view in views]
         return [Question(view, gate, view.directive(gate)) for view, gate in gates]
 
-    def raw(self, views: list[View]) -> list[Question]:
+    def raw(self, views: list[LabelledView]) -> list[Question]:
         """The right gate, by the task's own instruction."""
         return [replace(question, instruction=question.view.task.instruction) for question in self.right(views)]
 

@@ -1,20 +1,35 @@
-"""The policy under examination: asked about views as at the start of a flight, its answers checked, timed and kept."""
+"""The policy under examination, what is asked of it and found, and the faults that are looked for."""
 
 from __future__ import annotations
 
+import itertools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import partial
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.control.calls import begin_stage
 from cognitivedrone.control.latency import TimedPolicy
-from cognitivedrone.doctor.views import View
+from cognitivedrone.doctor.views import LabelledView
 from cognitivedrone.interfaces import Policy
 from cognitivedrone.types import ACTION_LIMITS, ActionChunk, EpisodeContext, Image
+
+Verdict = Literal["good", "wrong", "unknown"]
+Answer: TypeAlias = tuple[Verdict, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What was found by one question."""
+
+    question: str
+    verdict: Verdict
+    sentence: str
+
 
 Numbers = NDArray[np.float64]
 ImageChange = Callable[[Image], Image]
@@ -27,7 +42,7 @@ LIMITS = np.array(ACTION_LIMITS)
 class Question:
     """A view with an instruction, and maybe something that is not as in flight."""
 
-    view: View
+    view: LabelledView
     gate: int
     """The gate that is meant."""
     instruction: str
@@ -165,3 +180,47 @@ def size(answers: Numbers) -> float:
 def percent(share: float) -> str:
     """A share in per cent."""
     return f"{100 * share:.2g} %"
+
+
+STATE = ("vx", "vy", "vz", "height", "yaw_rate")
+IMAGES: Mapping[str, ImageChange] = {
+    "its red and blue channels are exchanged (it expects BGR; images are RGB)": lambda x: x[..., ::-1],
+    "its colour channels are rotated (images are RGB)": lambda x: x[..., [1, 2, 0]],
+    "its colour channels are rotated the other way (images are RGB)": lambda x: x[..., [2, 0, 1]],
+    "its red and green channels are exchanged (images are RGB)": lambda x: x[..., [1, 0, 2]],
+    "its green and blue channels are exchanged (images are RGB)": lambda x: x[..., [0, 2, 1]],
+    "it is mirrored left to right": lambda x: x[:, ::-1],
+    "it is upside down (row 0 is the top)": lambda x: x[::-1],
+    "it is turned by 180 degrees": lambda x: x[::-1, ::-1],
+    "its rows and columns are exchanged (images are height x width x 3)": lambda x: x.transpose(1, 0, 2),
+    "it is turned by 90 degrees to the left": lambda x: np.rot90(x, 1),
+    "it is turned by 90 degrees to the right": lambda x: np.rot90(x, -1),
+    "its channels come first (images are height x width x 3)": lambda x: x.reshape(3, *x.shape[:2]).transpose(1, 2, 0),
+    "its brightness is inverted": lambda x: 255 - x,
+}
+"""What undoes each fault of the image."""
+
+
+def _states() -> Iterator[tuple[str, StateChange]]:
+    for i, j in itertools.combinations(range(5), 2):
+        order = [*range(5)]
+        order[i], order[j] = j, i
+        yield f"{STATE[i]} and {STATE[j]} are exchanged", partial(np.take, indices=order)
+    rolled = (np.roll(range(5), n).tolist() for n in range(1, 5))
+    others = ([1, 2, 0, 3, 4], [2, 0, 1, 3, 4], [1, 2, 3, 0, 4], [3, 0, 1, 2, 4], [2, 3, 4, 0, 1], [4, 3, 2, 1, 0])
+    for order in (*others, *rolled):
+        shown = ", ".join(STATE[i] for i in np.argsort(order))
+        yield f"it is read in the order {shown}", partial(np.take, indices=order)
+    for i in range(5):
+        signs = np.where(np.arange(5) == i, -1.0, 1.0)
+        yield f"the sign of {STATE[i]} is inverted", partial(np.multiply, signs)
+
+
+STATES: Mapping[str, StateChange] = dict(_states())
+"""What undoes each fault of the state: numbers exchanged, in another order, or negated."""
+RANGES: Mapping[str, ImageChange] = {
+    "every image looks black to it": np.zeros_like,
+    "all pixels below 255 look black to it": lambda x: np.where(x == 255, 255, 0).astype(np.uint8),
+    "all pixels above 0 look white to it": lambda x: np.where(x > 0, 255, 0).astype(np.uint8),
+}
+"""What does not change the answers of a policy with that fault."""

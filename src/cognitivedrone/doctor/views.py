@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cognitivedrone.envs.drone import SimulatedDrone, clip_action
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
-from cognitivedrone.envs.worlds import Worlds
+from cognitivedrone.envs.worlds import SimulatedDrone, Worlds, clip_action
 from cognitivedrone.frames import yaw_of
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies.expert import Expert, ExpertConfig, intent
@@ -27,7 +26,7 @@ _SWAY = (0.0, 0.35, 0.2, 0.15)  # of the commands, so that heights, velocities a
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class LabelledView:
     """What the drone sees at a moment of a flight, and what the expert would do."""
 
     task: Task
@@ -49,7 +48,7 @@ class View:
         return GroundTruth(replace(self.task, target=gate), self.stage, lambda: self.state)
 
 
-def look_around(tasks: int = TASKS, seed: int = 0) -> list[View]:
+def look_around(tasks: int = TASKS, seed: int = 0) -> list[LabelledView]:
     """The views of the expert's flights, as many to the left gate as ahead and to the right; raises `RenderError`."""
     with Worlds(1, load_pack(), TrackConfig()) as worlds:
         suite = open_suite(TRAIN_NAME, None, size=_CANDIDATES, seed=seed)
@@ -65,7 +64,7 @@ def look_around(tasks: int = TASKS, seed: int = 0) -> list[View]:
         ]
 
 
-def _flight(runner: TrackRunner, task: Task, rng: np.random.Generator) -> Iterator[View]:
+def _flight(runner: TrackRunner, task: Task, rng: np.random.Generator) -> Iterator[LabelledView]:
     runner.begin((task,), rng)
     drone, expert = SimulatedDrone(runner, down=True), Expert()
     expert.reset(EpisodeContext(task.instruction, ground_truth=runner.truth()))
@@ -73,7 +72,7 @@ def _flight(runner: TrackRunner, task: Task, rng: np.random.Generator) -> Iterat
         if step in STEPS:
             seen = drone.observe()
             seen = replace(seen, image=seen.image.copy(), down=None if seen.down is None else seen.down.copy())
-            yield View(task, runner.stage, _copy(runner.world.state()), seen, _commands(runner), step > 0)
+            yield LabelledView(task, runner.stage, _copy(runner.world.state()), seen, _commands(runner), step > 0)
         runner.world.command(clip_action(expert.command() + rng.normal(size=4) * _SWAY))
         runner.world.advance()
 

@@ -8,21 +8,23 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from cognitivedrone.envs.gym import score, tasks_of
+from cognitivedrone.envs.gym import Camera, TaskView, score, tasks_of
 from cognitivedrone.envs.options import (
     ANY_EPISODE,
     RESET_MASK,
     Episode,
+    Info,
     NotReset,
+    action_space,
+    check_actions,
     check_begun,
     drawn,
+    observation_space,
     read_options,
     scenario_of,
     seeds_of,
     worlds_to_reset,
 )
-from cognitivedrone.envs.render import Camera, TaskView
-from cognitivedrone.envs.spaces import Info, action_space, check_actions, observation_space
 from cognitivedrone.envs.worlds import Worlds
 from cognitivedrone.errors import SimulationError, did_you_mean
 from cognitivedrone.sim.airframe import find_airframe

@@ -14,8 +14,7 @@ from typing import Any, Final, get_args
 import numpy as np
 
 from cognitivedrone.envs.gym import score
-from cognitivedrone.envs.options import drawn, read_options
-from cognitivedrone.envs.spaces import check_actions
+from cognitivedrone.envs.options import check_actions, drawn, read_options
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner
 from cognitivedrone.envs.worlds import Worlds
 from cognitivedrone.errors import ActionError, TaskError, did_you_mean
@@ -33,7 +32,7 @@ OUTCOMES: Final[tuple[Outcome, ...]] = get_args(Outcome)
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
-class View:
+class StepView:
     """What a policy may see before a step."""
 
     image: Image
@@ -48,7 +47,7 @@ class View:
     """Since the start of the flight."""
 
 
-class Flights:
+class HarnessFlights:
     """The episodes of a scenario's suite, flown one after the other.
 
     The simulator starts with the first episode. Raises `TaskError`, `LabelError` or `SimulationError` for a suite,
@@ -62,7 +61,7 @@ class Flights:
         TrackConfig.of(scenario, time_limit_s)
         find_airframe(scenario.airframe)
         self._worlds: Worlds | None = None
-        self._view: View
+        self._view: StepView
 
     @property
     def max_steps(self) -> int:
@@ -78,7 +77,7 @@ class Flights:
             raise TaskError(f"suite {self.suite.name!r} has no family {family!r}; {did_you_mean(str(family), known)}")
         return chosen
 
-    def begin(self, episode: int, seed: int) -> View:
+    def begin(self, episode: int, seed: int) -> StepView:
         """Begin an episode under the conditions of a benchmark's seed; raises `TaskError` if there is no such one."""
         if self._worlds is None:
             self._worlds = Worlds.of(self.scenario, time_limit_s=self.time_limit_s)
@@ -88,7 +87,7 @@ class Flights:
         )
         return self._look(self._worlds)
 
-    def step(self, action: object, *, declines: bool = False) -> tuple[View, float, bool]:
+    def step(self, action: object, *, declines: bool = False) -> tuple[StepView, float, bool]:
         """Fly one control period, 0.1 s: the view after it, the reward, and whether the episode is over.
 
         `action` is (4,) numbers: vx, vy, vz in m/s and yaw rate in rad/s. Anything else, and NaN, ends the episode as
@@ -122,12 +121,12 @@ class Flights:
             raise TaskError("no episode has begun; call begin first")
         return self._worlds, self._worlds.runners[0]
 
-    def _look(self, worlds: Worlds) -> View:
+    def _look(self, worlds: Worlds) -> StepView:
         """The view of now, which is kept."""
         (runner,), seen = worlds.runners, {name: values[0] for name, values in worlds.observe().items()}
         state = np.concatenate([seen[name] for name in ("velocity", "height", "yaw_rate")])
         stage = min(runner.index, len(runner.track) - 1)
-        self._view = View(seen["image"], state, seen["instruction"], stage, runner.world.time())
+        self._view = StepView(seen["image"], state, seen["instruction"], stage, runner.world.time())
         return self._view
 
 

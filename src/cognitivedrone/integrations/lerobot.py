@@ -14,10 +14,10 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from cognitivedrone.envs.spaces import action_space, observation_space
+from cognitivedrone.envs.options import action_space, observation_space
 from cognitivedrone.errors import RunError, TaskError
 from cognitivedrone.files import append, writing
-from cognitivedrone.integrations.flights import CAMERA, Flights, View, metrics_of
+from cognitivedrone.integrations.flights import CAMERA, HarnessFlights, StepView, metrics_of
 from cognitivedrone.plan import Scenario
 from cognitivedrone.types import CONTROL_HZ, Action
 
@@ -66,11 +66,11 @@ class LeRobotEnv(gymnasium.Env[dict[str, Any], Action]):
         if self._results is not None and not self._results.parent.is_dir():
             raise RunError(f"there is no folder {self._results.parent} for the results; create it")
         self.task = task or ""
-        self._flights = Flights(scenario, time_limit_s)
+        self._flights = HarnessFlights(scenario, time_limit_s)
         self._episodes = self._flights.episodes(task)
         self._max_episode_steps = self._flights.max_steps
         self._count = -1
-        self._view: View | None = None
+        self._view: StepView | None = None
         ours = observation_space()
         state = [ours[name] for name in ("velocity", "height", "yaw_rate")]
         low, high = (np.concatenate([getattr(box, side) for box in state]) for side in ("low", "high"))
@@ -123,7 +123,7 @@ class LeRobotEnv(gymnasium.Env[dict[str, Any], Action]):
         view = self._seen()
         return {"pixels": {CAMERA: view.image}, "agent_pos": view.state}
 
-    def _seen(self) -> View:
+    def _seen(self) -> StepView:
         if self._view is None:
             raise TaskError("no episode has begun; call reset first")
         return self._view

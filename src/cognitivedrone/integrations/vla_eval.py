@@ -27,7 +27,7 @@ from vla_eval.specs import IMAGE_RGB, LANGUAGE, DimSpec
 
 from cognitivedrone.control.calls import begin_stage, check_chunk
 from cognitivedrone.errors import GroundTruthError, PolicyError
-from cognitivedrone.integrations.flights import CAMERA, OUTCOMES, STATE, Flights, View, family_of, metrics_of
+from cognitivedrone.integrations.flights import CAMERA, OUTCOMES, STATE, HarnessFlights, StepView, family_of, metrics_of
 from cognitivedrone.interfaces import Policy
 from cognitivedrone.plan import Scenario
 from cognitivedrone.policies import make_policy
@@ -99,7 +99,7 @@ class CognitiveDrone(StepBenchmark):
             airframe=airframe,
             wind=wind,
         )
-        self.flights = Flights(scenario, time_limit_s)
+        self.flights = HarnessFlights(scenario, time_limit_s)
 
     @classmethod
     def configure_render(cls, mode: str) -> dict[str, str]:
@@ -115,7 +115,7 @@ class CognitiveDrone(StepBenchmark):
             for index, track in enumerate(suite.tracks)
         ]
 
-    def reset(self, task: dict[str, Any]) -> View:
+    def reset(self, task: dict[str, Any]) -> StepView:
         """Begin the task's track."""
         view = self.flights.begin(task["episode"], self.flights.scenario.seed + task.get("episode_idx", 0))
         self._recorder.record_video(view.image)
@@ -136,7 +136,7 @@ class CognitiveDrone(StepBenchmark):
         )
         return StepResult(obs=view, reward=reward, done=done, info={})
 
-    def make_obs(self, raw_obs: View, task: dict[str, Any]) -> dict[str, Any]:  # noqa: ARG002
+    def make_obs(self, raw_obs: StepView, task: dict[str, Any]) -> dict[str, Any]:  # noqa: ARG002
         """Image, instruction, state; and stage and time, for policies that begin anew with every stage."""
         seen = {
             "images": {CAMERA: raw_obs.image},
@@ -160,7 +160,7 @@ class CognitiveDrone(StepBenchmark):
 
     async def get_time(self) -> float:
         """Simulated seconds since the start of the episode."""
-        view: View = self._last_result.obs
+        view: StepView = self._last_result.obs
         return view.time_s
 
     def get_metadata(self) -> dict[str, Any]:
@@ -183,7 +183,7 @@ class CognitiveDrone(StepBenchmark):
 
     def render(self) -> Any:
         """The first-person view."""
-        view: View | None = self._last_result.obs
+        view: StepView | None = self._last_result.obs
         return None if view is None else view.image
 
     def cleanup(self) -> None:

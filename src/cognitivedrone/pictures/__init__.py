@@ -3,8 +3,8 @@
     read_picture(Path("my-labels/animal/cat.png"), "label image", LabelError, longest=256)
 
 `reading.py` makes of any depth, transparency, orientation and colour space the RGB that people see in a viewer;
-`metadata.py` finds the orientation, and keeps all else of a file's metadata from the decoders; `kinds.py` says what a
-file is whose name promises another; `limits.py` has the limits of photographs, and of the frames of data sets.
+`kinds.py` says what a file is whose name promises another; `limits.py` has the limits of photographs, and of the frames
+of data sets.
 """
 
 from cognitivedrone.pictures.kinds import OTHER_SUFFIXES

@@ -2,12 +2,12 @@
 
 | of the file | what is read |
 |---|---|
-| 16 bits, and 2 or 4 bits of grey | all levels, scaled to 8 bits: 65535 becomes 255 |
+| 16 bits of grey | all levels, scaled to 8 bits: 65535 becomes 255 |
 | transparency: alpha, a palette's, or one transparent colour | laid on white |
 | orientation in EXIF or XMP | turned and mirrored upright |
 | colour space: ICC profile, gamma of PNG, CMYK, Lab | sRGB; what is sRGB within two levels stays as it is |
 | animation, several pictures | the first one |
-| metadata, also where it is broken | ignored |
+| other metadata | ignored |
 
 Pixels whose white is unknown (floating point) are refused.
 """
@@ -15,19 +15,19 @@ Pixels whose white is unknown (floating point) are refused.
 from __future__ import annotations
 
 import warnings
+from contextlib import suppress
 from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from PIL import Image, UnidentifiedImageError, features
+from PIL import ExifTags, Image, UnidentifiedImageError, features
 
 from cognitivedrone.errors import CognitiveDroneError
 from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.pictures.kinds import what_else
 from cognitivedrone.pictures.limits import MAX_PIXELS
-from cognitivedrone.pictures.metadata import without_metadata
 from cognitivedrone.text.printable import visible
 
 MAX_FILE_BYTES: Final = 20_000_000
@@ -81,8 +81,7 @@ def decode_picture(
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of sizes, for which the limit below is stricter
-            kept, orientation = without_metadata(content)
-            with Image.open(BytesIO(kept), formats=FORMATS) as opened:
+            with Image.open(BytesIO(content), formats=FORMATS) as opened:
                 if opened.width * opened.height > max_pixels:
                     raise error(
                         f"{named} has {opened.width}x{opened.height} pixels; at most {max_pixels / 1e6:.0f} million are"
@@ -91,9 +90,9 @@ def decode_picture(
                 if longest is not None:
                     opened.draft("RGB", (2 * longest, 2 * longest))
                 opened.load()
-                image = _seen(opened, kept)
-            if orientation in _TURNS:
-                image = image.transpose(_TURNS[orientation])
+                image = _seen(opened)
+                with suppress(Exception):  # Pillow raises many kinds for broken EXIF, which is no reason to refuse it
+                    image = image.transpose(_TURNS[opened.getexif()[ExifTags.Base.Orientation]])
             if longest is not None:
                 image.thumbnail((longest, longest), Image.Resampling.LANCZOS)
     except error:
@@ -110,32 +109,28 @@ def decode_picture(
     return white.convert("RGB")
 
 
-def _seen(opened: Image.Image, content: bytes) -> Image.Image:
-    """RGBA in sRGB, 8 bits, of a loaded image; `content` is its file. Raises `ValueError` if its white is unknown."""
-    colour, alpha = split_alpha(opened, _transparent_colour(opened, content))
+def _seen(opened: Image.Image) -> Image.Image:
+    """RGBA in sRGB, 8 bits, of a loaded image. Raises `ValueError` if its white is unknown."""
+    colour, alpha = split_alpha(opened)
     if opened.format == "BMP" and alpha is not None and alpha.getextrema() == (0, 0):
         alpha = None  # the fourth byte of each pixel is unused
-    if alpha is None and opened.mode == "RGB" and isinstance(opened.info.get("transparency"), tuple):
-        alpha = _rgb_alpha(opened, content)
     image = _in_srgb(colour, opened.info)
     image.putalpha(alpha or 255)
     return image
 
 
-def split_alpha(image: Image.Image, transparent: int | None = None) -> tuple[Image.Image, Image.Image | None]:
+def split_alpha(image: Image.Image) -> tuple[Image.Image, Image.Image | None]:
     """The colours as an 8-bit image of mode L, RGB or CMYK, and its opacity (mode L), none if all of it is opaque.
 
-    `transparent` is the level, of the image's own depth, that is transparent in a grey image. Whole numbers of mode
-    "I" are 16-bit levels. Raises `ValueError` for pixels whose white is unknown.
+    Whole numbers of mode "I" are 16-bit levels. Raises `ValueError` for pixels whose white is unknown.
     """
     if image.mode == "I" or image.mode.startswith("I;16"):
         levels = np.asarray(image).astype(np.int32)
         if levels.min() < 0 or levels.max() > 0xFFFF:
             raise ValueError(f"its grey levels are {levels.min()} to {levels.max()}, not 0 to 65535; scale them")
-        return _of((levels + 128) // 257), None if transparent is None else _opaque(levels != transparent)
-    if image.mode in ("1", "L"):
-        grey = image.convert("L")
-        return grey, None if transparent is None else _opaque(np.asarray(grey) != transparent)
+        transparent = image.info.get("transparency")
+        opaque = None if transparent is None else _of(np.where(levels != transparent, 255, 0))
+        return _of((levels + 128) // 257), opaque
     if image.mode in ("LA", "La"):
         grey, alpha = image.convert("LA").split()
         return grey, alpha
@@ -148,9 +143,11 @@ def split_alpha(image: Image.Image, transparent: int | None = None) -> tuple[Ima
         converted = ImageCms.profileToProfile(image, lab, srgb, outputMode="RGB")
         assert converted is not None  # noqa: S101  (only in place there is none)
         return converted, None
-    if image.mode in ("P", "PA", "RGBA", "RGBa"):
+    if image.mode in ("P", "PA", "RGBA", "RGBa") or "transparency" in image.info:
         rgba = image.convert("RGBA")
         return rgba.convert("RGB"), rgba.getchannel("A")
+    if image.mode in ("1", "L"):
+        return image.convert("L"), None
     if image.mode in ("RGB", "RGBX", "YCbCr", "HSV"):
         return (image if image.mode == "RGB" else image.convert("RGB")), None
     raise ValueError(f"its pixels are of mode {image.mode}, whose white is unknown; scale them to 8 bits")
@@ -162,34 +159,6 @@ def _of(levels: Any) -> Image.Image:
 
 def _opaque(mask: Any) -> Image.Image:
     return _of(np.where(mask, 255, 0))
-
-
-def _transparent_colour(opened: Image.Image, content: bytes) -> int | None:
-    """The transparent level of a grey PNG, in the levels that Pillow gives; it leaves that of 2 and 4 bits as is."""
-    level = opened.info.get("transparency")
-    if not isinstance(level, int) or (opened.mode not in ("1", "L", "I") and not opened.mode.startswith("I;16")):
-        return None
-    if opened.format != "PNG" or opened.mode == "1":
-        return 255 if opened.mode == "1" and level else level
-    most = (1 << content[24]) - 1
-    return (level & most) * 255 // most if opened.mode == "L" else level & most
-
-
-def _rgb_alpha(opened: Image.Image, content: bytes) -> Image.Image:
-    """The opacity of a PNG with one transparent colour; of 16 bits, Pillow keeps only the upper 8."""
-    key = np.array(opened.info["transparency"])
-    pixels = np.asarray(opened).astype(np.uint16)
-    if content[24] == 16:
-        with Image.open(BytesIO(content), formats=("PNG",)) as again:
-            # Read as if the bytes of each level were in the other order, the lower ones are kept.
-            again.tile = [_with_arguments(tile, "RGB;16L") for tile in again.tile]
-            pixels = (pixels << 8) + np.asarray(again)
-    return _opaque((pixels != key).any(axis=2))
-
-
-def _with_arguments(tile: Any, arguments: str) -> Any:
-    """One of Pillow's tiles with other arguments for its decoder; up to version 10, tiles are plain tuples."""
-    return tile._replace(args=arguments) if hasattr(tile, "_replace") else (*tile[:3], arguments)
 
 
 def _in_srgb(colour: Image.Image, info: dict[Any, Any]) -> Image.Image:

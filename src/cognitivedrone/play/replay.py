@@ -12,7 +12,7 @@ from cognitivedrone.benchmark.scores.results import read_results
 from cognitivedrone.errors import ServerError, TaskError
 from cognitivedrone.files import check_no_link, reason_of
 from cognitivedrone.film.frame import OUTCOME_TEXTS
-from cognitivedrone.film.page import FILM_FILE
+from cognitivedrone.film.movie import FILM_FILE
 from cognitivedrone.play.channels import Channels
 from cognitivedrone.play.server import Controls
 

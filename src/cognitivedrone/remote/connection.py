@@ -16,10 +16,8 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from cognitivedrone.errors import CognitiveDroneError, MessageError, PluginError, ServerError, import_extra
-from cognitivedrone.remote.codec import EXTRA, pack, unpack
-from cognitivedrone.remote.messages import OURS, PROTOCOL, TOKEN_VARIABLE, Message, raise_error
-from cognitivedrone.remote.proxy import proxy_hint
-from cognitivedrone.remote.tls import tls_fault
+from cognitivedrone.remote.faults import proxy_hint, tls_fault
+from cognitivedrone.remote.messages import EXTRA, OURS, PROTOCOL, TOKEN_VARIABLE, Message, pack, raise_error, unpack
 from cognitivedrone.text.printable import visible
 
 LARGEST_ANSWER = 16 << 20

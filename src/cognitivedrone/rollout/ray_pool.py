@@ -1,9 +1,4 @@
-"""Workers on the machines of a Ray cluster: actors, each with one worker process of its own.
-
-An actor flies through a `ProcessPool` of one, so that a policy that hangs or crashes costs the same item, with the same
-message, as in a local run. An actor that is lost, with its node or alone, is replaced, and its item is done again: work
-is repeatable, so the results are those of a run in which nothing was lost.
-"""
+"""Workers on the machines of a Ray cluster: the connection to it, and actors with one worker process each."""
 
 from __future__ import annotations
 
@@ -12,17 +7,62 @@ import os
 import platform
 import sys
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-from cognitivedrone.errors import CognitiveDroneError, RunError
-from cognitivedrone.rollout.cluster import ray_cluster
+from cognitivedrone.errors import CognitiveDroneError, RunError, UsageError, import_extra
 from cognitivedrone.rollout.pool import Answer, Item, Pool, Work, WorkerCrash, WorkerLost
 from cognitivedrone.rollout.process_pool import JOIN_TIMEOUT_S, ProcessPool
 from cognitivedrone.sim.drawing.renderers import REMEMBERED, VISIBLE
+from cognitivedrone.system import refusal
+from cognitivedrone.system.processes import isolated
+from cognitivedrone.system.usage_reports import switch_off
 from cognitivedrone.text.printable import visible
+
+
+def import_ray() -> Any:
+    """The Ray module; raises `MissingExtra` if it is not installed, `UsageError` on Windows."""
+    if refused := refusal("--executor ray"):
+        raise UsageError(refused)
+    switch_off()
+    return import_extra("ray", "ray")
+
+
+class _KnownPaths(list[str]):
+    """Paths of modules that Ray gives to its workers: of the driver's working directory nothing, unless it is a path
+    of the driver's modules, too.
+    """
+
+    def extend(self, paths: Iterable[str]) -> None:
+        super().extend(path for path in paths if path in sys.path)
+
+
+@contextmanager
+def ray_cluster(error: type[CognitiveDroneError]) -> Iterator[Any]:
+    """The Ray module, connected to the cluster that `RAY_ADDRESS` names, or to one on this machine.
+
+    A connection that the caller's process already had is used and stays open. Raises `MissingExtra` if Ray is not
+    installed, and `error` if the cluster does not answer.
+    """
+    ray = import_ray()
+    if ray.is_initialized():
+        yield ray
+        return
+    try:
+        settings = ray.job_config.JobConfig()
+        settings._py_driver_sys_path = _KnownPaths()
+        with isolated():
+            ray.init(include_dashboard=False, log_to_driver=False, logging_level="error", job_config=settings)
+    except Exception as problem:  # Ray's own, some of no special class
+        where = os.environ.get("RAY_ADDRESS", "this machine")
+        raise error(f"the Ray cluster at {where} cannot be used ({problem}); 'ray status' shows its state") from None
+    try:
+        yield ray
+    finally:
+        ray.shutdown()
+
 
 _LONGEST = 300  # characters of Ray's own text
 LOSSES = 3

@@ -18,8 +18,6 @@ class Limits(Options):
 
     clients: Count = 64
     """Maximum number of websocket clients; each has a session, with a state of its own."""
-    per_address: Count = 128
-    """Maximum number of connections from one address; raise it for a server behind a proxy."""
     rate: Annotated[float, Range(0.001)] = 1000.0
     """Maximum number of requests of one client per second."""
     queue: Count = 256

@@ -1,13 +1,18 @@
-"""Runs the web application: opens the port, serves until stopped."""
+"""Runs the web application: opens the port, says where it is, serves until stopped; keeps its log short."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import socket
+import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from ipaddress import ip_address
 
 import uvicorn
 
@@ -15,17 +20,64 @@ from cognitivedrone.errors import ServerError
 from cognitivedrone.files import reason_of
 from cognitivedrone.pilot import open_pilot
 from cognitivedrone.remote.connection import keep_alive
+from cognitivedrone.remote.messages import TOKEN_VARIABLE
 from cognitivedrone.serving.access import token_of
-from cognitivedrone.serving.admission import Admission
 from cognitivedrone.serving.app import PolicyServer
 from cognitivedrone.serving.config import ServePlan
-from cognitivedrone.serving.protocols import UNREAD_S, limited
-from cognitivedrone.serving.sessions import Served
-from cognitivedrone.system import close_unread
+from cognitivedrone.serving.sessions import ServedPilot
 from cognitivedrone.system.interrupts import until_asked
+
+MOST = 5
+"""Records of a kind that are logged in a period."""
+PERIOD_S = 60.0
+KINDS = 1000
+"""Kinds that are remembered; more share one."""
+
+
+@dataclass(slots=True)
+class _Count:
+    since: float
+    logged: int = 0
+    left_out: int = 0
+
+
+class LogLimit(logging.Filter):
+    """Lets `MOST` records of a kind pass in `PERIOD_S`; the first that passes later says how many were left out.
+
+    A record's kind is its logger, its level, its text before values are put in, and its attribute `kind`, if any.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        super().__init__()
+        self._clock = clock
+        self._counts: dict[object, _Count] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether the record is logged."""
+        now = self._clock()
+        key: object = (record.name, record.levelno, str(record.msg), getattr(record, "kind", ""))
+        if key not in self._counts and len(self._counts) >= KINDS:
+            key = None
+        count = self._counts.setdefault(key, _Count(now))
+        if now - count.since >= PERIOD_S:
+            if count.left_out:
+                record.msg = f"{record.msg} ({count.left_out} more like this were not logged)"
+            self._counts[key] = count = _Count(now)
+        if count.logged >= MOST:
+            count.left_out += 1
+            return False
+        count.logged += 1
+        if count.logged == MOST:
+            record.msg = f"{record.msg} (more like this are not logged for {PERIOD_S:.0f} s)"
+        return True
+
 
 STOP_S = 2
 """Time that clients have to leave when the server stops, s."""
+MOST_WAITING = 192
+"""Maximum number of connections beyond those of websocket clients: of REST, and those that have asked nothing yet."""
+KEEP_ALIVE_S = 10
+"""Time for which a connection of REST is kept without a request, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +105,7 @@ def serve(plan: ServePlan, ready: Callable[[Address], None], stop: threading.Eve
     token = token_of(plan.bare_host, plan.token_file)
     with contextlib.ExitStack() as stack:
         listening = stack.enter_context(contextlib.closing(_listen(plan)))
-        served = Served(plan.pilot, stack.enter_context(open_pilot(plan.pilot)))
+        served = ServedPilot(plan.pilot, stack.enter_context(open_pilot(plan.pilot)))
         address = Address(plan.bare_host, listening.getsockname()[1], token is not None)
         with until_asked() as asked:
             asyncio.run(_run(plan, served, token, listening, lambda: ready(address), _either(stop, asked)))
@@ -112,7 +164,6 @@ def _listen(plan: ServePlan) -> socket.socket:
     try:
         listening = socket.create_server((plan.bare_host, plan.port), family=family, backlog=128)
         keep_alive(listening)  # connections inherit these
-        close_unread(listening, UNREAD_S)
         return listening
     except OSError as error:
         raise ServerError(
@@ -122,20 +173,20 @@ def _listen(plan: ServePlan) -> socket.socket:
 
 async def _run(
     plan: ServePlan,
-    served: Served,
+    served: ServedPilot,
     token: str | None,
     listening: socket.socket,
     ready: Callable[[], None],
     stop: Callable[[], bool],
 ) -> None:
     application = PolicyServer(served, plan.limits, token)
-    admission = Admission(plan.limits, token)
-    http, websocket = limited(admission)
     server = _Server(
         uvicorn.Config(
             application.app,
-            http=http,
-            ws=websocket,
+            http="h11",
+            ws="websockets-sansio",
+            limit_concurrency=plan.limits.clients + MOST_WAITING,
+            timeout_keep_alive=KEEP_ALIVE_S,
             # A client that computes does not answer pings either; `_listen` asks its operating system.
             ws_ping_interval=None,
             ws_max_size=1000 * plan.limits.message_kb,
@@ -158,5 +209,58 @@ async def _run(
             await asyncio.wait([running], timeout=0.1)
         await running
     finally:
-        await admission.close()
         await application.close()
+
+
+EVERY_ADDRESS = "ADDRESS-OF-THIS-MACHINE"
+
+
+def announced(plan: ServePlan, address: Address) -> str:
+    """Some lines for a person who wants to use the server."""
+    shown = Address(EVERY_ADDRESS if _is_every(address.host) else address.host, address.port)
+    reasoner = plan.pilot.shown.reasoner
+    pilot = plan.pilot.shown.policy if reasoner == "none" else f"{plan.pilot.shown.policy} behind {reasoner}"
+    policy = f"--policy remote:ws://{shown}"
+    lines = [
+        f"serving {pilot} at ws://{address} (ctrl-C stops)",
+        f"  score it     cognitivedrone bench {policy}" + _reasoner(plan, shown),
+        f'  openpi       WebsocketClientPolicy("{shown.uri_host}", {shown.port})',
+        f"  OpenVLA      POST http://{shown}/act",
+        f"  health       http://{shown}/healthz",
+    ]
+    if address.needs_token:
+        lines.append(f"  clients need the token, ours in the environment variable {TOKEN_VARIABLE}")
+    return "\n".join(lines)
+
+
+def _is_every(host: str) -> bool:
+    """Whether a server at this host listens on every address of its machine, in any spelling."""
+    try:
+        return not host or ip_address(host).is_unspecified
+    except ValueError:  # a name
+        return False
+
+
+@contextmanager
+def logging_to_stderr() -> Iterator[None]:
+    """Inside, the server's log goes to standard error, within the limit of `LogLimit`."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.addFilter(LogLimit())
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s", datefmt="%H:%M:%S"))
+    loggers = [logging.getLogger(name) for name in ("cognitivedrone.serving", "uvicorn.error")]
+    before = [(logger.level, logger.propagate) for logger in loggers]
+    for logger, level in zip(loggers, (logging.INFO, logging.WARNING), strict=True):
+        logger.addHandler(handler)
+        logger.setLevel(level)
+        logger.propagate = False
+    try:
+        yield
+    finally:
+        for logger, (level, propagate) in zip(loggers, before, strict=True):
+            logger.removeHandler(handler)
+            logger.setLevel(level)
+            logger.propagate = propagate
+
+
+def _reasoner(plan: ServePlan, shown: Address) -> str:
+    return "" if plan.pilot.reasoner == "none" else f" --reasoner remote:ws://{shown}"

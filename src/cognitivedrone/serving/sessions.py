@@ -1,13 +1,17 @@
-"""The pilot that is served, and the state that each client has of it."""
+"""The pilot that is served, the state that each client has of it, and the thread that runs it for all that wait."""
 
 from __future__ import annotations
 
+import asyncio
 import importlib.metadata
 import logging
 import secrets
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -16,20 +20,21 @@ from cognitivedrone.control.calls import calling, check_chunk
 from cognitivedrone.control.directive_filter import DirectiveFilter
 from cognitivedrone.errors import CognitiveDroneError, GroundTruthError, MessageError, PolicyError, PolicyRaised
 from cognitivedrone.files import digest_of_file
-from cognitivedrone.interfaces import Policy, Reasoner
+from cognitivedrone.interfaces import Policy, Reasoner, attempt
 from cognitivedrone.pilot import Pilot
 from cognitivedrone.plan import PilotSpec
 from cognitivedrone.policies import POLICIES, make_policy, model_file
 from cognitivedrone.reasoners import REASONERS, make_reasoner
 from cognitivedrone.registry import one_line
 from cognitivedrone.remote.messages import OURS, PROTOCOL, Message, read_prompt, read_resets
+from cognitivedrone.serving.config import Limits
 from cognitivedrone.tasks.directives import declines
 from cognitivedrone.types import CONTROL_HZ, REASONER_HZ, ActionChunk, EpisodeContext, Guidance, Image, Observation
 
 log = logging.getLogger(__name__)
 
 
-class Served:
+class ServedPilot:
     """A policy and maybe a reasoner, from whose weights every client's session is made."""
 
     def __init__(self, spec: PilotSpec, pilot: Pilot) -> None:
@@ -196,3 +201,111 @@ def _version() -> str:
         return importlib.metadata.version("cognitivedrone")
     except importlib.metadata.PackageNotFoundError:
         return "unknown"
+
+
+_Result = TypeVar("_Result")
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """A session's actions, and how long they took."""
+
+    actions: ActionChunk
+    declines: bool
+    present: float | None
+    infer_s: float
+    """Of the whole batch."""
+    wait_s: float
+    """In the queue."""
+
+
+@dataclass(slots=True)
+class _Turn:
+    session: Session
+    contexts: Sequence[EpisodeContext]
+    """Stages to start first."""
+    observation: Observation
+    done: asyncio.Future[Done]
+    since: float
+
+
+class Engine:
+    """Calls of policy and reasoner, which may block, in a thread each; made in a running event loop."""
+
+    def __init__(self, served: ServedPilot, limits: Limits) -> None:
+        self.served = served
+        self._limits = limits
+        self._policy_thread = ThreadPoolExecutor(1, "policy")
+        self._reasoner_thread = ThreadPoolExecutor(1, "reasoner")
+        self._opening_thread = ThreadPoolExecutor(1, "sessions")
+        self._waiting: list[_Turn] = []
+        self._running: asyncio.Task[None] | None = None
+
+    async def act(self, session: Session, contexts: Sequence[EpisodeContext], observation: Observation) -> Done:
+        """The session's actions, together with those of others that wait; raises `MessageError` if too many wait."""
+        if len(self._waiting) >= self._limits.queue:
+            raise MessageError("busy", f"{len(self._waiting)} observations wait already; try again later")
+        done: asyncio.Future[Done] = asyncio.get_running_loop().create_future()
+        self._waiting.append(_Turn(session, contexts, observation, done, time.perf_counter()))
+        if self._running is None or self._running.done():
+            self._running = asyncio.create_task(self._run())
+        return await done
+
+    async def open_session(self) -> Session:
+        """A new session; others fly on while it is made."""
+        return await asyncio.get_running_loop().run_in_executor(self._opening_thread, self.served.open_session)
+
+    async def close_session(self, session: Session) -> None:
+        """Close a session, after its last turn."""
+        with suppress(RuntimeError):  # the server has ended
+            await self.on_policy_thread(session.close)
+
+    async def reason(self, call: Callable[[], _Result]) -> _Result:
+        """What a call of the reasoner returns."""
+        return await asyncio.get_running_loop().run_in_executor(self._reasoner_thread, call)
+
+    async def on_policy_thread(self, call: Callable[[], _Result]) -> _Result:
+        """What another call returns that touches the policy."""
+        return await asyncio.get_running_loop().run_in_executor(self._policy_thread, call)
+
+    def close(self) -> None:
+        """End the threads, without waiting for a call that hangs."""
+        for thread in (self._policy_thread, self._reasoner_thread, self._opening_thread):
+            thread.shutdown(wait=False, cancel_futures=True)
+
+    async def _run(self) -> None:
+        while self._waiting:
+            turns, self._waiting = self._waiting[: self._limits.batch], self._waiting[self._limits.batch :]
+            began = time.perf_counter()
+            try:
+                results = await self.on_policy_thread(lambda turns=turns: self._act(turns))  # type: ignore[misc]
+            except Exception as error:  # of this package
+                results = [error] * len(turns)
+            took_s = time.perf_counter() - began
+            for turn, result in zip(turns, results, strict=True):
+                if turn.done.done():  # the client has left
+                    continue
+                if isinstance(result, Exception):
+                    turn.done.set_exception(result)
+                else:
+                    turn.done.set_result(Done(*result, took_s, began - turn.since))
+
+    def _act(self, turns: Sequence[_Turn]) -> list[tuple[ActionChunk, bool, float | None] | Exception]:
+        """Start stages and act; an error stays with its own turn."""
+        begun = [attempt(turn.session.reset_policy, turn.contexts) for turn in turns]
+        acting = [turn for turn, error in zip(turns, begun, strict=True) if error is None]
+        chunks = iter(
+            self.served.act([turn.session for turn in acting], [turn.observation for turn in acting]) if acting else []
+        )
+        results: list[tuple[ActionChunk, bool, float | None] | Exception] = []
+        for turn, error in zip(turns, begun, strict=True):
+            chunk = next(chunks) if error is None else error
+            results.append(
+                chunk if isinstance(chunk, Exception) else attempt(_with_reports(chunk), turn.session.policy)
+            )
+        return results
+
+
+def _with_reports(chunk: ActionChunk) -> Callable[[Policy], tuple[ActionChunk, bool, float | None]]:
+    """Adds to a chunk what the policy reports with it, which may be computed by a user's code."""
+    return lambda policy: (chunk, policy.declines, policy.present)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.sim.dynamics import BatchedFlight
 from cognitivedrone.sim.gate_monitor import GateEvent, GateMonitor
 from cognitivedrone.types import CONTROL_HZ, DroneState, FloatArray, Image, Stage
 from cognitivedrone.world.appearance import PLAIN, Appearance
 
-TICKS_PER_CONTROL = round(1 / (CONTROL_HZ * Flight.TICK_S))
-"""Ticks of `Flight.TICK_S` in a control period."""
-if abs(TICKS_PER_CONTROL * CONTROL_HZ * Flight.TICK_S - 1) > 1e-9:
+TICKS_PER_CONTROL = round(1 / (CONTROL_HZ * BatchedFlight.TICK_S))
+"""Ticks of `BatchedFlight.TICK_S` in a control period."""
+if abs(TICKS_PER_CONTROL * CONTROL_HZ * BatchedFlight.TICK_S - 1) > 1e-9:
     raise ValueError("the control period must be a whole number of physics ticks")
 
 
@@ -74,7 +74,7 @@ class DroneWorld(Protocol):
         ...
 
     def advance(self, ticks: int = TICKS_PER_CONTROL) -> GateEvent | None:
-        """Advance by ticks of `Flight.TICK_S`; returns what happened at the gates."""
+        """Advance by ticks of `BatchedFlight.TICK_S`; returns what happened at the gates."""
         ...
 
     def frame(self, *, down: bool = False) -> Image:

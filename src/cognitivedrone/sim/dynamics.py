@@ -31,7 +31,7 @@ def threads_for(worlds: int, threads: int) -> int:
     return max(1, min(threads, worlds // WORLDS_PER_THREAD))
 
 
-class Flight:
+class BatchedFlight:
     """n drones, each in its own world, flown by velocity setpoints, on `threads` threads.
 
     A world's flight depends only on its `reset` and its commands, to the last bit: not on the other worlds,

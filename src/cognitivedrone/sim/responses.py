@@ -15,7 +15,7 @@ import numpy as np
 from cognitivedrone.frames import world_to_heading, yaw_of
 from cognitivedrone.sim.airframe import Airframe
 from cognitivedrone.sim.drone_world import Start
-from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.sim.dynamics import BatchedFlight
 from cognitivedrone.types import DroneState, FloatArray
 
 SETTLE_S = 3.0
@@ -23,7 +23,7 @@ SETTLE_S = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class StepResponse:
     """A command held for a while, then zero."""
 
     action: tuple[float, float, float, float]
@@ -51,7 +51,7 @@ class Figures:
 
 
 @dataclass(frozen=True, slots=True)
-class Trace:
+class ResponseTrace:
     """A response, sampled at 100 Hz; the first sample is the state on arrival of the command."""
 
     time: FloatArray
@@ -66,13 +66,13 @@ class Trace:
     """(k,) rad."""
 
 
-STEPS: dict[str, Step] = {
-    "forward 1 m/s": Step((1.0, 0.0, 0.0, 0.0), 4.0, 0),
-    "forward 2 m/s": Step((2.0, 0.0, 0.0, 0.0), 4.0, 0),
-    "left 1 m/s": Step((0.0, 1.0, 0.0, 0.0), 4.0, 1),
-    "climb 0.5 m/s": Step((0.0, 0.0, 0.5, 0.0), 3.0, 2),
-    "yaw 0.5 rad/s": Step((0.0, 0.0, 0.0, 0.5), 3.0, 3),
-    "forward 1.5 m/s, yaw 0.4 rad/s": Step((1.5, 0.0, 0.0, 0.4), 5.0, 0),
+STEPS: dict[str, StepResponse] = {
+    "forward 1 m/s": StepResponse((1.0, 0.0, 0.0, 0.0), 4.0, 0),
+    "forward 2 m/s": StepResponse((2.0, 0.0, 0.0, 0.0), 4.0, 0),
+    "left 1 m/s": StepResponse((0.0, 1.0, 0.0, 0.0), 4.0, 1),
+    "climb 0.5 m/s": StepResponse((0.0, 0.0, 0.5, 0.0), 3.0, 2),
+    "yaw 0.5 rad/s": StepResponse((0.0, 0.0, 0.0, 0.5), 3.0, 3),
+    "forward 1.5 m/s, yaw 0.4 rad/s": StepResponse((1.5, 0.0, 0.0, 0.4), 5.0, 0),
 }
 
 ARDUCOPTER: dict[str, Figures] = {
@@ -97,7 +97,7 @@ class Motion(Protocol):
         ...
 
     def advance(self, ticks: int) -> FloatArray:
-        """Fly on by ticks of `Flight.TICK_S`; the way there, (samples, 3), world, m."""
+        """Fly on by ticks of `BatchedFlight.TICK_S`; the way there, (samples, 3), world, m."""
         ...
 
     def state(self) -> DroneState:
@@ -109,7 +109,7 @@ class OwnMotion:
     """One drone under our own autopilot."""
 
     def __init__(self, airframe: Airframe) -> None:
-        self._flight = Flight(1, airframe)
+        self._flight = BatchedFlight(1, airframe)
 
     def begin(self, start: Start) -> None:
         """Hover at `start`."""
@@ -129,7 +129,7 @@ class OwnMotion:
         return self._flight.state(0)
 
 
-def fly(step: Step, drone: Motion) -> Trace:
+def fly(step: StepResponse, drone: Motion) -> ResponseTrace:
     """Fly a step from hover, with setpoints at 10 Hz."""
     drone.begin(Start((0.0, 0.0, 1.5)))
     count = round((step.duration + SETTLE_S) * 100)
@@ -144,11 +144,11 @@ def fly(step: Step, drone: Motion) -> Trace:
         tilt.append(math.acos(min(1.0, 1 - 2 * (x * x + y * y))))
         if k % 10 == 0:
             drone.command(np.array(step.action if k < round(step.duration * 100) else (0.0,) * 4))
-        drone.advance(Flight.SAMPLE_TICKS)
-    return Trace(np.arange(count + 1) * 0.01, response, position, np.unwrap(heading), np.array(tilt))
+        drone.advance(BatchedFlight.SAMPLE_TICKS)
+    return ResponseTrace(np.arange(count + 1) * 0.01, response, position, np.unwrap(heading), np.array(tilt))
 
 
-def measure(step: Step, trace: Trace) -> Figures:
+def measure(step: StepResponse, trace: ResponseTrace) -> Figures:
     """The figures of a response."""
     wanted = step.action[step.axis]
     reached = trace.response[:, step.axis] / wanted

@@ -9,7 +9,7 @@ import numpy as np
 from cognitivedrone.sim.airframe import RACER, Airframe
 from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, Scenery, Start
-from cognitivedrone.sim.dynamics import Flight, threads_for
+from cognitivedrone.sim.dynamics import BatchedFlight, threads_for
 from cognitivedrone.sim.gate_monitor import GateEvent, GateMonitor
 from cognitivedrone.types import IMAGE_SIZE, DroneState, FloatArray, Image, Images, Stage
 
@@ -32,7 +32,7 @@ class Simulator:
     ) -> None:
         self.worlds = worlds
         self.airframe = airframe
-        self.flight = Flight(worlds, airframe, threads=threads_for(worlds, threads))
+        self.flight = BatchedFlight(worlds, airframe, threads=threads_for(worlds, threads))
         self.cameras = Cameras(worlds, size, threads=threads) if render else None
         """The renderer; none where nothing is drawn."""
         self.ticks = np.zeros(worlds, dtype=np.int64)
@@ -62,9 +62,9 @@ class Simulator:
 
     def advance(self, ticks: int = TICKS_PER_CONTROL) -> list[GateEvent | None]:
         """Advance all worlds by physics ticks; returns each world's event."""
-        path, began = self.flight.advance(ticks), self.ticks * Flight.TICK_S
+        path, began = self.flight.advance(ticks), self.ticks * BatchedFlight.TICK_S
         self.ticks += ticks
-        ended = self.ticks * Flight.TICK_S
+        ended = self.ticks * BatchedFlight.TICK_S
         return [
             None
             if gate_monitor is None or self.flight.diverged[world]
@@ -76,7 +76,7 @@ class Simulator:
         """First-person views (n, size, size, 3) of all worlds, or of some; those of the camera that looks down."""
         if self.cameras is None:
             raise ValueError("this simulator was made without cameras")
-        flight, times = self.flight, self.ticks * Flight.TICK_S
+        flight, times = self.flight, self.ticks * BatchedFlight.TICK_S
         rates = flight.body_rates[:, 2]
         if worlds is None:
             return self.cameras.first_person(flight.position, flight.quaternion, out, None, rates, times, down=down)
@@ -97,7 +97,7 @@ class Simulator:
 
     def time(self, world: int) -> float:
         """Seconds since the flight began in one world."""
-        return float(self.ticks[world] * Flight.TICK_S)
+        return float(self.ticks[world] * BatchedFlight.TICK_S)
 
     def close(self) -> None:
         """Free the renderer."""

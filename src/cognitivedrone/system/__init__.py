@@ -379,9 +379,3 @@ def let_others_first(niceness: int) -> None:
 
 DO_NOT_WAIT: Final[int] = getattr(socket, "MSG_DONTWAIT", 0)
 """Flag of `send` to raise `BlockingIOError` at once; none on Windows."""
-
-
-def close_unread(connection: socket.socket, after_s: float) -> None:
-    """Close a connection whose other end takes nothing for so long; elsewhere than on Linux, after some minutes."""
-    if hasattr(socket, "TCP_USER_TIMEOUT"):
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1000 * after_s))

@@ -6,12 +6,11 @@ from dataclasses import replace
 
 from cognitivedrone.errors import TrainingError, did_you_mean
 from cognitivedrone.models.small_vla import SmallVLAConfig
-from cognitivedrone.training.obstacles.training import DEBUG_OBSTACLES, OBSTACLES
+from cognitivedrone.training.obstacles import DEBUG_OBSTACLES, OBSTACLES
 from cognitivedrone.training.reasoner.reader import READER, READER_PLACES
 from cognitivedrone.training.reasoner.selector import DEBUG_SELECTOR, SELECTOR
-from cognitivedrone.training.small_vla.flight import FLIGHT, PLACES
 from cognitivedrone.training.small_vla.language import DEBUG_LANGUAGE, LANGUAGE
-from cognitivedrone.training.small_vla.policy import TrainRecipe
+from cognitivedrone.training.small_vla.policy import FLIGHT, PLACES, TrainRecipe
 from cognitivedrone.training.small_vla.sampling import StreamRecipe
 from cognitivedrone.training.teach.training import TEACH
 from cognitivedrone.training.trainer.training_task import Recipe

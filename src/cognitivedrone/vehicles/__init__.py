@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 VEHICLES: dict[str, str] = {
     "sim": "cognitivedrone.vehicles.simulated:open_sim",
     "sitl": "cognitivedrone.vehicles.sitl.session:open_sitl",
-    "gazebo": "cognitivedrone.vehicles.gazebo.pilot:open_gazebo_vehicle",
+    "gazebo": "cognitivedrone.vehicles.gazebo.flight:open_gazebo_vehicle",
     "mavlink": "cognitivedrone.vehicles.mavlink.session:open_mavlink",
 }
 

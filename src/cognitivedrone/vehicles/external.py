@@ -15,7 +15,7 @@ import numpy as np
 from cognitivedrone.errors import ActionError, LinkError
 from cognitivedrone.frames import rotate_yaw, yaw_of
 from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, Scenery, Start
-from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.sim.dynamics import BatchedFlight
 from cognitivedrone.sim.gate_monitor import GateEvent, GateMonitor
 from cognitivedrone.types import DroneState, FloatArray, Image, Stage
 
@@ -103,7 +103,7 @@ class ExternalFlight(ABC):
 
     @abstractmethod
     def advance(self, ticks: int) -> FloatArray:
-        """Advance by ticks of `Flight.TICK_S`; returns the true positions (samples, 3) on the way, world, m."""
+        """Advance by ticks of `BatchedFlight.TICK_S`; returns the true positions (samples, 3) on the way, world, m."""
 
     @abstractmethod
     def _send(self, action: FloatArray) -> None:
@@ -188,7 +188,7 @@ class ExternalWorld:
         self.flight.command(action)
 
     def advance(self, ticks: int = TICKS_PER_CONTROL) -> GateEvent | None:
-        """Advance by ticks of `Flight.TICK_S`; returns what happened at the gates."""
+        """Advance by ticks of `BatchedFlight.TICK_S`; returns what happened at the gates."""
         path, began = self.flight.advance(ticks), self.time()
         self._ticks += ticks
         return None if self.diverged else self.gate_monitor.follow(path, began, self.time())
@@ -203,4 +203,4 @@ class ExternalWorld:
 
     def time(self) -> float:
         """Seconds since the flight began."""
-        return self._ticks * Flight.TICK_S
+        return self._ticks * BatchedFlight.TICK_S

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from cognitivedrone.envs.drone import PacedDrone, SimulatedDrone
 from cognitivedrone.envs.track_runner import TrackRunner
+from cognitivedrone.envs.worlds import PacedDrone, SimulatedDrone
 from cognitivedrone.frames import yaw_of
 from cognitivedrone.sim.drawing.gl import renderer_name
 from cognitivedrone.sim.drone_world import DroneWorld

@@ -14,12 +14,11 @@ from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, HARD_FAMILIES, load_suite
 from cognitivedrone.tasks.people import CAST, FEATURES, parse_person
 from cognitivedrone.tasks.suites import AUTHORED
-from cognitivedrone.training.language import held_out
+from cognitivedrone.training.language import problems
 from cognitivedrone.training.language.fact_questions import FACTS
-from cognitivedrone.training.language.named_things import NAMED
+from cognitivedrone.training.language.named_things import NAMED, UNKNOWN_NAMES
 from cognitivedrone.training.language.places import PLACE_FAMILIES
 from cognitivedrone.training.language.problems import ABSENT, ALONE, NAMES, SHARES, Mix, Problem, Problems
-from cognitivedrone.training.language.unknown_people import UNKNOWN_NAMES
 from cognitivedrone.training.perception.attributes import AttributeIndex
 
 PLAIN = Mix(
@@ -203,10 +202,10 @@ def test_unknown_people_are_asked_for_by_an_unknown_name() -> None:
 
 def test_what_is_held_out_is_drawn_again(monkeypatch: pytest.MonkeyPatch) -> None:
     before = [problem.sentence for problem in drawn(PLAIN, 300)]
-    kept = frozenset(held_out.plain(sentence) for sentence in before[:200])
-    monkeypatch.setattr(held_out, "held_out_sentences", lambda: kept)
+    kept = frozenset(problems.plain(sentence) for sentence in before[:200])
+    monkeypatch.setattr(problems, "held_out_sentences", lambda: kept)
     after = [problem.sentence for problem in drawn(PLAIN, 300)]
-    assert not kept & {held_out.plain(sentence) for sentence in after}
+    assert not kept & {problems.plain(sentence) for sentence in after}
 
 
 @pytest.mark.parametrize("name", AUTHORED)
@@ -214,6 +213,6 @@ def test_the_sentences_of_typed_suites_are_held_out(name: str) -> None:
     sentences = [task.instruction for track in load_suite(name).tracks for task in track]
     assert len(sentences) >= 200
     assert all(
-        held_out.is_held_out(variant) for text in sentences for variant in (text, text.upper() + "!", f"{text}.")
+        problems.is_held_out(variant) for text in sentences for variant in (text, text.upper() + "!", f"{text}.")
     )
-    assert not held_out.is_held_out("Fly through the small red round gate")
+    assert not problems.is_held_out("Fly through the small red round gate")

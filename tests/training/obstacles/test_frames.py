@@ -9,8 +9,7 @@ import pytest
 
 from cognitivedrone.frames import quaternion_from_yaw, rotate_yaw
 from cognitivedrone.models.eyes.obstacle_eye import PARTS
-from cognitivedrone.training.obstacles.frames import ObstacleFlights, obstacle_depth
-from cognitivedrone.training.obstacles.training import DEBUG_OBSTACLES
+from cognitivedrone.training.obstacles import DEBUG_OBSTACLES, ObstacleFlights, obstacle_depth
 from cognitivedrone.training.perception.ground_truth import project
 from cognitivedrone.types import IMAGE_SIZE, Gate, Obstacle, Stage
 from cognitivedrone.world import geometry

@@ -14,7 +14,7 @@ from quick_trainings import train_here
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.eyes.obstacle_eye import DEPTHS_M, EYE_FILE, PARTS, ObstacleEye
 from cognitivedrone.models.eyes.obstacle_network import occupied_and_depth
-from cognitivedrone.training.obstacles.training import DEBUG_OBSTACLES, OBSTACLES, ObstacleLoss, ObstacleTraining
+from cognitivedrone.training.obstacles import DEBUG_OBSTACLES, OBSTACLES, ObstacleLoss, ObstacleTraining
 from cognitivedrone.training.recipes import find_recipe
 from cognitivedrone.training.trainer.checkpoint import read_checkpoint, restore
 from cognitivedrone.training.trainer.training_task import Given

@@ -7,7 +7,7 @@ import pytest
 
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.labels import load_pack
-from cognitivedrone.training.perception.restyle import SIDE, restyled
+from cognitivedrone.training.perception.pictures import SIDE, restyled
 from cognitivedrone.types import Image
 
 

@@ -23,10 +23,9 @@ from cognitivedrone.models.words.text_encoder import FILE, TextEncoderModel, enc
 from cognitivedrone.policies import make_policy
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.training.perception.attributes import ATTRIBUTES
-from cognitivedrone.training.small_vla.export import export, stream_of
-from cognitivedrone.training.small_vla.pilot import NetworkPilot, fly_suite
+from cognitivedrone.training.small_vla.export import export, load_trained, stream_of
+from cognitivedrone.training.small_vla.policy import NetworkPilot, fly_suite
 from cognitivedrone.training.small_vla.sampling import StreamRecipe
-from cognitivedrone.training.small_vla.trained import load_trained
 from cognitivedrone.training.trainer.checkpoint import read_checkpoint
 from cognitivedrone.types import EpisodeContext, Observation
 

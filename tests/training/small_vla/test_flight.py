@@ -14,8 +14,8 @@ from cognitivedrone.errors import ModelError
 from cognitivedrone.models.words.text_encoder import FILE
 from cognitivedrone.training.recipes import RECIPES, find_recipe
 from cognitivedrone.training.small_vla import export
-from cognitivedrone.training.small_vla.flight import FLIGHT
-from cognitivedrone.training.small_vla.trained import load_trained
+from cognitivedrone.training.small_vla.export import load_trained
+from cognitivedrone.training.small_vla.policy import FLIGHT
 from cognitivedrone.training.trainer.training_task import Given
 
 pytestmark = pytest.mark.usefixtures("one_thread", "made_small")

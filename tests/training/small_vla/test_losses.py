@@ -25,8 +25,8 @@ from cognitivedrone.training.recipes import RECIPES
 from cognitivedrone.training.small_vla import losses
 from cognitivedrone.training.small_vla.language.described import TextMix, described, text_loss
 from cognitivedrone.training.small_vla.losses import (
-    LossModule,
     LossWeights,
+    SmallVlaLosses,
     action_loss,
     action_targets,
     true_slots,
@@ -63,7 +63,7 @@ def batch(language_checkpoint: Path) -> Batch:
     raise AssertionError("no board in view")
 
 
-def loss_module(head: Head = "tokens", chunk: int = 1, weights: LossWeights | None = None) -> LossModule:
+def loss_module(head: Head = "tokens", chunk: int = 1, weights: LossWeights | None = None) -> SmallVlaLosses:
     torch.manual_seed(0)
     network = SmallVLA(replace(DEBUG.network, language=LANGUAGE, reader=READER, head=head, chunk=chunk), SCHEMA)
     for part in (network.reader, network.language):
@@ -71,14 +71,14 @@ def loss_module(head: Head = "tokens", chunk: int = 1, weights: LossWeights | No
         part.requires_grad_(requires_grad=False)
     assert network.language is not None
     network.language.scale.fill_(0.1)  # untrained, it is sure of nothing; so that the prior counts
-    return LossModule(network, weights)
+    return SmallVlaLosses(network, weights)
 
 
 def tensors(batch: Batch, chunk: int = 1) -> dict[str, Tensor]:
     return to_tensors({**batch, "action": batch["action"][:, :, :chunk]})
 
 
-def as_in_training(taught: LossModule, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
+def as_in_training(taught: SmallVlaLosses, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
     with torch.autocast("cpu", torch.bfloat16):
         total, measures = taught(batch)
     return total, measures
@@ -130,7 +130,7 @@ def test_a_racing_policy_learns_without_sentences(batch: Batch) -> None:
     torch.manual_seed(0)
     network = SmallVLA(replace(DEBUG.network, reader=None), SCHEMA)
     deaf = {name: value for name, value in tensors(batch).items() if name != "words"}
-    total, _ = LossModule(network)(deaf)
+    total, _ = SmallVlaLosses(network)(deaf)
     total.backward()
     assert network.preference is not None
     assert network.preference.weight.grad is not None

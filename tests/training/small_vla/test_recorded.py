@@ -15,8 +15,8 @@ from cognitivedrone.collect.recipe import RECIPES as COLLECTED
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.training.recipes import RECIPES
-from cognitivedrone.training.small_vla.recorded import Recorded
 from cognitivedrone.training.small_vla.sampling import SampleSource
+from cognitivedrone.training.small_vla.stream import Recorded
 from cognitivedrone.training.trainer.checkpoint import read_checkpoint
 from cognitivedrone.training.trainer.training_task import Given
 

@@ -14,9 +14,8 @@ from quick_trainings import train_here
 from torch.nn.modules.module import register_module_forward_hook
 
 from cognitivedrone.training.recipes import RECIPES
-from cognitivedrone.training.trainer import precision, trainer
-from cognitivedrone.training.trainer.precision import multiplies_bf16
-from cognitivedrone.training.trainer.training_task import Given
+from cognitivedrone.training.trainer import trainer, training_task
+from cognitivedrone.training.trainer.training_task import Given, multiplies_bf16
 
 pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
 
@@ -54,8 +53,8 @@ def test_a_card_is_asked_whether_it_multiplies_bf16_itself(monkeypatch, multipli
         return multiplies
 
     cuda = SimpleNamespace(is_available=lambda: True, is_bf16_supported=is_bf16_supported)
-    monkeypatch.setattr(precision, "torch", SimpleNamespace(cuda=cuda))
-    assert precision.trains_in_bf16.__wrapped__() is multiplies
+    monkeypatch.setattr(training_task, "torch", SimpleNamespace(cuda=cuda))
+    assert training_task.trains_in_bf16.__wrapped__() is multiplies
     assert asked == [False]
 
 

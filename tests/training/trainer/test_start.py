@@ -17,11 +17,11 @@ from cognitivedrone.models.eyes.panel_reader import Reader, ReaderConfig
 from cognitivedrone.models.onnx_file import write_table
 from cognitivedrone.models.words.language import LanguageConfig
 from cognitivedrone.training.perception.attributes import ATTRIBUTES
-from cognitivedrone.training.reasoner.trained import trained_selector
+from cognitivedrone.training.reasoner.selector_files import trained_selector
 from cognitivedrone.training.recipes import RECIPES
-from cognitivedrone.training.small_vla.flight import FLIGHT
+from cognitivedrone.training.small_vla.export import load_trained
 from cognitivedrone.training.small_vla.language import LANGUAGE
-from cognitivedrone.training.small_vla.trained import load_trained
+from cognitivedrone.training.small_vla.policy import FLIGHT
 from cognitivedrone.training.trainer import start as module
 from cognitivedrone.training.trainer.checkpoint import read_checkpoint, save_checkpoint
 from cognitivedrone.training.trainer.start import read_start, restore_part

@@ -25,11 +25,10 @@ from cognitivedrone.rollout import cards
 from cognitivedrone.rollout.cards import Cards
 from cognitivedrone.training.reasoner.selector import SelectorRecipe
 from cognitivedrone.training.recipes import ALL_RECIPES, RECIPES, find_recipe
-from cognitivedrone.training.small_vla.flight import FlightRecipe
+from cognitivedrone.training.small_vla.export import load_trained
 from cognitivedrone.training.small_vla.language import DEBUG_LANGUAGE, LanguageRecipe
-from cognitivedrone.training.small_vla.policy import TrainRecipe
-from cognitivedrone.training.small_vla.trained import load_trained
-from cognitivedrone.training.small_vla.validation import action_measures
+from cognitivedrone.training.small_vla.losses import action_measures
+from cognitivedrone.training.small_vla.policy import FlightRecipe, TrainRecipe
 from cognitivedrone.training.trainer import trainer
 from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint
 from cognitivedrone.training.trainer.prefetch import PrefetchQueue, learner_path

@@ -19,8 +19,7 @@ from typing import Any
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from sdf_reading import models, parse, read_world, values
 
-from cognitivedrone.vehicles.gazebo.bindings import MODULES, Bindings, load_bindings
-from cognitivedrone.vehicles.gazebo.release import RELEASES
+from cognitivedrone.vehicles.gazebo.bindings import MODULES, RELEASES, Bindings, load_bindings
 
 FIELD = descriptor_pb2.FieldDescriptorProto
 FIELDS: dict[str, list[tuple[str, Any]]] = {

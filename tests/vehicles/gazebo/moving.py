@@ -15,10 +15,9 @@ from fake_gazebo import MESSAGES, FakeGazebo
 
 from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.sim.simulator import Simulator
-from cognitivedrone.vehicles.gazebo import pilot
-from cognitivedrone.vehicles.gazebo.flight import GazeboFlight
+from cognitivedrone.vehicles.gazebo import flight as flight_module
+from cognitivedrone.vehicles.gazebo.flight import GazeboFlight, open_gazebo
 from cognitivedrone.vehicles.gazebo.live import GazeboWorld, LiveConfig
-from cognitivedrone.vehicles.gazebo.pilot import open_gazebo
 from cognitivedrone.vehicles.gazebo.sensing import Sample, TruePath
 from cognitivedrone.vehicles.gazebo.worlds.vehicle import CAMERA_TOPIC, NAME
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
@@ -102,7 +101,7 @@ def pose(vehicle: SimulatedVehicle):
 def opened(running: Moving, config: LiveConfig = PATIENT) -> Iterator[GazeboFlight]:
     """The flight. Gazebo's time goes on as far as it is asked to, and by itself at take-off and landing."""
     with pytest.MonkeyPatch.context() as patch:
-        until, take_off = TruePath.until, pilot.take_off
+        until, take_off = TruePath.until, flight_module.take_off
 
         def asked(path: TruePath, time_s: float) -> list[Sample]:
             running.limit = max(time_s, running.vehicle.time) + 0.02
@@ -113,7 +112,7 @@ def opened(running: Moving, config: LiveConfig = PATIENT) -> Iterator[GazeboFlig
             return take_off(url, world)
 
         patch.setattr(TruePath, "until", asked)
-        patch.setattr(pilot, "take_off", free)
+        patch.setattr(flight_module, "take_off", free)
         with open_gazebo(running.url, config, running.gazebo.bindings()) as flight:
             try:
                 yield flight

@@ -10,18 +10,17 @@ import pytest
 from cognitivedrone.cli import main
 from cognitivedrone.errors import GazeboError
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Stage
-from cognitivedrone.vehicles.gazebo.worlds import check as checking
-from cognitivedrone.vehicles.gazebo.worlds.check import PACKAGE, check, find_checker
-from cognitivedrone.vehicles.gazebo.worlds.export import world_of
-from cognitivedrone.vehicles.gazebo.worlds.sdf import Picture, document, prop_model, props_of
+from cognitivedrone.vehicles.gazebo.worlds import export as checking
+from cognitivedrone.vehicles.gazebo.worlds.export import PACKAGE, check, find_checker, world_of
+from cognitivedrone.vehicles.gazebo.worlds.sdf import PanelPicture, document, prop_model, props_of
 from cognitivedrone.world.appearance import PLAIN, varied_appearance
 
 needs_parser = pytest.mark.skipif(
     find_checker() is None, reason=f"libsdformat is not on this machine: apt-get install {PACKAGE}"
 )
 VARIANTS = [Gate(size, shape, color) for size in SIZES for shape in SHAPES for color in COLORS]
-PICTURES = (Picture("a.png", 1.0), Picture("b.png", 0.5), Picture("c.png", 2.0))
-BOARD = Picture("sum.png", 1.0)
+PICTURES = (PanelPicture("a.png", 1.0), PanelPicture("b.png", 0.5), PanelPicture("c.png", 2.0))
+BOARD = PanelPicture("sum.png", 1.0)
 
 
 @needs_parser

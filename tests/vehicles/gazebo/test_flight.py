@@ -19,8 +19,8 @@ from sdf_reading import models, read_world
 
 from cognitivedrone.cli import main
 from cognitivedrone.control.loop import Segment, fly
-from cognitivedrone.envs.drone import SimulatedDrone
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, scenery_of, stage_of
+from cognitivedrone.envs.worlds import SimulatedDrone
 from cognitivedrone.errors import GazeboError, RunError
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.labels import load_pack
@@ -30,10 +30,9 @@ from cognitivedrone.sim.drone_world import Start
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.vehicles.external import ExternalWorld, Placement
 from cognitivedrone.vehicles.gazebo import flight as flight_module
-from cognitivedrone.vehicles.gazebo import pilot
 from cognitivedrone.vehicles.gazebo.flight import on_the_ground
 from cognitivedrone.vehicles.gazebo.live import GazeboWorld
-from cognitivedrone.vehicles.gazebo.pilot import PassThroughGuard
+from cognitivedrone.vehicles.mavlink.client.drone import PassThroughGuard
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import PLAIN
 
@@ -114,7 +113,7 @@ def test_a_vehicle_that_is_lost_voids_the_flight_and_the_next_one_takes_off_agai
 
 
 def test_the_benchmark_flies_in_gazebo(running, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(pilot, "open_gazebo", lambda: opened(running))
+    monkeypatch.setattr(flight_module, "open_gazebo", lambda: opened(running))
     command = ["bench", "--link", "gazebo", "--airframe", "iris", "--suite", "open-v1:smoke", "--episodes", "1"]
     main([*command, "--policy", "oracle", "--reasoner", "none", "--out", str(tmp_path / "run")])
     output = capsys.readouterr().out
@@ -165,7 +164,7 @@ def test_what_cannot_be_flown_is_reported(running, monkeypatch):
         with pytest.raises(GazeboError, match="has been silent for"):
             flight.advance(10**6)
         running.paused = False
-    monkeypatch.setattr(pilot._Drone, "is_software", False)
+    monkeypatch.setattr(flight_module._Drone, "is_software", False)
     with opened(running) as flight:
         with pytest.raises(RunError, match=r"may be a real drone.*--resume"):
             flight.begin(START)
@@ -175,7 +174,7 @@ def test_what_cannot_be_flown_is_reported(running, monkeypatch):
 def test_software_in_the_loop_is_reported_by_its_parameters(running, tmp_path):
     with (
         GazeboWorld(tmp_path, PATIENT, running.gazebo.bindings()) as world,
-        pilot._Drone(running.url, world.camera(), PassThroughGuard(), pilot.VEHICLE) as drone,
+        flight_module._Drone(running.url, world.camera(), PassThroughGuard(), flight_module.VEHICLE) as drone,
     ):
         assert drone.is_software
         drone.simulated = False

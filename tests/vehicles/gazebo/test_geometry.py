@@ -16,7 +16,7 @@ from cognitivedrone.sim.drawing.camera import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Landmark, Obstacle, Stage
 from cognitivedrone.vehicles.gazebo.worlds.export import world_of
-from cognitivedrone.vehicles.gazebo.worlds.sdf import Picture, document, props_of
+from cognitivedrone.vehicles.gazebo.worlds.sdf import PanelPicture, document, props_of
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import PLAIN, varied_appearance
 from cognitivedrone.world.assets import ROOM_HALF_SIZE, ROOM_HEIGHT
@@ -24,7 +24,7 @@ from cognitivedrone.world.assets import ROOM_HALF_SIZE, ROOM_HEIGHT
 MM = 1e-3
 TENTH_OF_DEGREE = math.radians(0.1)
 VARIANTS = [Gate(size, shape, color) for size in SIZES for shape in SHAPES for color in COLORS]
-LABELS = (Picture("a.png", 1.0), Picture("b.png", 0.7), Picture("c.png", 1.5))
+LABELS = (PanelPicture("a.png", 1.0), PanelPicture("b.png", 0.7), PanelPicture("c.png", 1.5))
 ORIGIN, YAW = (7.5, -3.25), 2.3
 
 
@@ -34,7 +34,7 @@ def stage_with(first: int, **options) -> Stage:
     return Stage(gates=gates, labels=("letter/A@inter",) * 3, origin=ORIGIN, yaw=YAW, **options)
 
 
-def world_with(stage: Stage, appearance=PLAIN, board: Picture | None = None):
+def world_with(stage: Stage, appearance=PLAIN, board: PanelPicture | None = None):
     props = props_of(stage, LABELS, board, appearance)
     return parse(document(world_of(stage, props, appearance))).find("world")
 
@@ -89,7 +89,7 @@ def test_panels_hang_over_their_gates_as_wide_as_their_pictures(track_folder, pl
 
 def test_the_board_hangs_where_ours_does(track_folder):
     stage = stage_with(0, board="sum/7*9@inter")
-    model = models(world_with(stage, board=Picture("sum.png", 1.25)))["board"]
+    model = models(world_with(stage, board=PanelPicture("sum.png", 1.25)))["board"]
     points, _ = model_mesh(track_folder, model)
     home = np.array([*ORIGIN, 0.0])
     local = rotate_yaw(points - home, -YAW) - geometry.BOARD_CENTER
@@ -204,7 +204,7 @@ def test_the_textures_are_the_labels_to_the_pixel(track_folder):
 def test_obstacles_stand_where_they_are_in_our_world(track_folder):
     obstacles = (Obstacle("pillar", 2.0, 0.4, 0.3, 2.0), Obstacle("frame", 2.0, -1.5, 1.2, 1.0, 0.1, 0.4, 0.2))
     stage = stage_with(0, obstacles=obstacles, landmark=Landmark("number/1@inter", 4.5, 2.0, 2.0, 0.3))
-    found = models(world_with(stage, board=Picture("d.png", 0.5)))
+    found = models(world_with(stage, board=PanelPicture("d.png", 0.5)))
     solids = geometry.solids(stage)
     assert len(solids.yaws) == 1 + 4 + 2
     for index in range(len(solids.yaws) - 1):

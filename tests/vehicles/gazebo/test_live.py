@@ -19,9 +19,8 @@ from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.labels import load_pack
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.vehicles.gazebo import live
-from cognitivedrone.vehicles.gazebo.bindings import load_bindings
+from cognitivedrone.vehicles.gazebo.bindings import RELEASES, GazeboError, load_bindings
 from cognitivedrone.vehicles.gazebo.live import GazeboWorld, LiveConfig, plan
-from cognitivedrone.vehicles.gazebo.release import RELEASES, GazeboError
 from cognitivedrone.vehicles.gazebo.sensing import GazeboCamera, PoseTrack
 from cognitivedrone.vehicles.gazebo.worlds.export import stages_of
 from cognitivedrone.vehicles.gazebo.worlds.sdf import Prop, paint

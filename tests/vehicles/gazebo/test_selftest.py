@@ -28,7 +28,7 @@ from cognitivedrone.tasks import load_suite
 from cognitivedrone.vehicles.gazebo import selftest
 from cognitivedrone.vehicles.gazebo.live import GazeboWorld, LiveConfig
 from cognitivedrone.vehicles.gazebo.selftest import Report, checks, checks_in_flight
-from cognitivedrone.vehicles.gazebo.selftest.checks import Finding, Scene
+from cognitivedrone.vehicles.gazebo.selftest.checks import Finding, GazeboScene
 from cognitivedrone.vehicles.gazebo.selftest.checks_in_flight import FLIGHT_CHECKS, Airborne
 from cognitivedrone.vehicles.gazebo.server import GazeboServer, own_partition
 from cognitivedrone.vehicles.gazebo.worlds.export import stages_of
@@ -119,7 +119,7 @@ def test_without_its_plugin_the_vehicle_is_not_flown(tmp_path, monkeypatch):
 
 
 def test_ctrl_c_ends_gazebo_and_keeps_what_is_known(tmp_path, monkeypatch):
-    def stop(scene: Scene) -> Finding:
+    def stop(scene: GazeboScene) -> Finding:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(selftest, "CHECKS", (("places", stop),))
@@ -157,12 +157,12 @@ def test_what_is_missing_is_reported_in_one_sentence(tmp_path, monkeypatch):
 # Single checks.
 
 
-def scene_of(machine: Studio, folder: Path, stack: ExitStack, config: LiveConfig = PATIENT) -> Scene:
+def scene_of(machine: Studio, folder: Path, stack: ExitStack, config: LiveConfig = PATIENT) -> GazeboScene:
     """A started Gazebo, ready for its checks."""
     from cognitivedrone.vehicles.gazebo.worlds.export import export
 
     exported = export("open-v1:track", track="0", out=folder / "world")
-    scene = Scene(folder, exported.worlds, STAGES, load_pack())
+    scene = GazeboScene(folder, exported.worlds, STAGES, load_pack())
     stack.callback(scene.close)
     stack.enter_context(own_partition())
     server = stack.enter_context(GazeboServer(exported.worlds[0], folder / "gazebo.log"))
@@ -205,7 +205,7 @@ def test_a_stage_that_comes_late_is_reported(tmp_path):
     ],
 )
 def test_frames_that_a_slow_autopilot_repeats_are_counted_and_other_complaints_fail(tmp_path, line, problem):
-    scene = Scene(tmp_path, (), STAGES, load_pack())
+    scene = GazeboScene(tmp_path, (), STAGES, load_pack())
     scene.server = cast(GazeboServer, SimpleNamespace(complaints=lambda: ["[Wrn] [Mesh.cc:1] told already", line]))
     scene.complaints_before = 1
     found = checks.leftovers(scene)
@@ -262,7 +262,7 @@ def scene(track_folder, tmp_path, monkeypatch):
                 time.sleep(0.005)
 
         monkeypatch.setattr(checks_in_flight, "time", SimpleNamespace(sleep=sleep))
-        scene = Scene(tmp_path, (), STAGES, load_pack())
+        scene = GazeboScene(tmp_path, (), STAGES, load_pack())
         bindings = gazebo.bindings()
         scene.open(stack.enter_context(GazeboWorld(tmp_path / "spawned", PATIENT, bindings)), None)
         yield scene, FakeAutopilot(running)

@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from cognitivedrone.errors import GazeboError
-from cognitivedrone.vehicles.gazebo.bindings import MODULES
-from cognitivedrone.vehicles.gazebo.services import ServiceProcess
+from cognitivedrone.vehicles.gazebo.bindings import MODULES, ServiceProcess
 
 TRANSPORT = """
 import os

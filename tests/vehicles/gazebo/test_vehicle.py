@@ -10,7 +10,7 @@ from sdf_reading import element_pose, parse, values
 
 from cognitivedrone.sim.airframe import IRIS, ROTORS
 from cognitivedrone.sim.drawing.views import FIELD_OF_VIEW, MOUNT
-from cognitivedrone.vehicles.gazebo.pilot import VEHICLE
+from cognitivedrone.vehicles.gazebo.flight import VEHICLE
 from cognitivedrone.vehicles.gazebo.worlds.sdf import STEP_S, document
 from cognitivedrone.vehicles.gazebo.worlds.vehicle import ground_clearance, iris, parameters
 from cognitivedrone.vehicles.mavlink.client.checks.preflight import EXPECTED

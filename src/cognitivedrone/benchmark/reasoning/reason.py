@@ -130,10 +130,10 @@ def score_reasoner(plan: ReasonPlan, *, progress: bool = True) -> ReasonResults:
         raise PluginError(f"--reasoner {plan.reasoner} gives no answers to score; name a reasoner, such as oracle")
     with closing(reasoner):
         reasoner.check()
-        return _scored(reasoner, plan, job, progress, began)
+        return _scored(reasoner, plan, source, progress, began)
 
 
-def _scored(reasoner: Reasoner, plan: ReasonPlan, job: Job, progress: bool, began: float) -> ReasonResults:
+def _scored(reasoner: Reasoner, plan: ReasonPlan, source: _Source, progress: bool, began: float) -> ReasonResults:
     out = out_of(plan)
     answers: list[Answer] = []
     with _open_answers(out, overwrite=plan.overwrite) as keep:

@@ -9,7 +9,7 @@ from typing import Final
 
 from cognitivedrone.benchmark.scores.run_types import Rollout, Trace
 from cognitivedrone.data.episode import encode_image
-from cognitivedrone.film.panel import compose
+from cognitivedrone.film.overlays import compose
 from cognitivedrone.film.video import encode_mp4
 from cognitivedrone.types import EpisodeResult, Outcome, Track
 

@@ -12,7 +12,7 @@ from cognitivedrone.benchmark.scores.results import read_results
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import check_no_link, writing
 from cognitivedrone.film.frame import Film, scenes_of, verdict_of
-from cognitivedrone.film.page import write_flight
+from cognitivedrone.film.movie import write_flight
 from cognitivedrone.tasks import SUITES
 
 FILMS_FOLDER: Final = "films"

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
 from cognitivedrone.data.episode import Conditions, Encoding, Episode, Split
-from cognitivedrone.data.pages import check_pages
 from cognitivedrone.data.shards import check_cameras, unpacked_bytes
 from cognitivedrone.errors import DataError, TaskError
 from cognitivedrone.files import check_regular, create, read_regular, reason_of, remove, replacing_folder
@@ -228,10 +227,6 @@ def check_unpacked_size(metadata: Any, path: Path, columns: Collection[str]) -> 
             f"{path}: has {metadata.num_rows:,} rows and {unpacked:,} bytes when unpacked; at most {MAX_ROWS:,} rows"
             f" and {MAX_UNPACKED_BYTES:,} bytes of one file are read"
         )
-    try:
-        check_pages(path, metadata)
-    except ValueError as error:
-        raise DataError(f"{path}: not a whole parquet file ({brief(error)}); copy or export it again") from None
 
 
 def write_json(path: Path, content: Any) -> None:

@@ -13,22 +13,39 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cognitivedrone.models.eyes.finder import SLOTS
+from cognitivedrone.models.words.text import words_of
 from cognitivedrone.reasoners.scene_text import STAGES
-from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, HARD_FAMILIES
+from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, HARD_FAMILIES, load_suite
 from cognitivedrone.tasks.families.memory import memory_track
 from cognitivedrone.tasks.generate import TRAIN, Draw, Pools
-from cognitivedrone.tasks.suites import drawn_task
+from cognitivedrone.tasks.suites import AUTHORED, drawn_task
 from cognitivedrone.tasks.validate import right_gate
 from cognitivedrone.training.language.fact_questions import FACTS, FactQuestions
-from cognitivedrone.training.language.held_out import is_held_out
-from cognitivedrone.training.language.lacking import lacking
-from cognitivedrone.training.language.named_things import NAMED, named_thing
+from cognitivedrone.training.language.named_things import NAMED, lacking, named_thing, with_unknown_person
 from cognitivedrone.training.language.places import PLACE_FAMILIES, ask_place
 from cognitivedrone.training.language.questions import ask
 from cognitivedrone.training.language.typing_noise import typed
-from cognitivedrone.training.language.unknown_people import with_unknown_person
 from cognitivedrone.training.language.wordings import TYPED
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Task
+
+
+def is_held_out(sentence: str) -> bool:
+    """Whether a suite written by hand has this sentence, whatever its case and punctuation."""
+    return plain(sentence) in held_out_sentences()
+
+
+def plain(sentence: str) -> str:
+    """The words of a sentence, in lower case and without punctuation."""
+    return " ".join(word for word in words_of(sentence) if word.isalnum())
+
+
+@functools.cache
+def held_out_sentences() -> frozenset[str]:
+    """All sentences of those suites, as `plain` writes them."""
+    return frozenset(
+        plain(task.instruction) for name in AUTHORED for track in load_suite(name).tracks for task in track
+    )
+
 
 ABSENT = SLOTS
 """The right answer if no gate matches the instruction."""

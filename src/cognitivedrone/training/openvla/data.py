@@ -63,7 +63,7 @@ class Steps(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Flights:
+class FlightSamples:
     """A data set for training."""
 
     identity: str
@@ -76,7 +76,7 @@ class Flights:
     """Statistics of the training steps."""
 
 
-def open_flights(folder: Path, category: Category | None = None) -> Flights:
+def open_flights(folder: Path, category: Category | None = None) -> FlightSamples:
     """The flights of a store or of an RLDS export, all or those of a category; same flights, same samples.
 
     Raises `DataError` if there is neither, or a third-party RLDS data set, and `TrainingError` if a split has no
@@ -92,7 +92,7 @@ def open_flights(folder: Path, category: Category | None = None) -> Flights:
     quantiles = spread(steps.actions()[train])
     statistics = ActionStatistics(tuple(quantiles["q01"]), tuple(quantiles["q99"]))
     identity = f"{'rlds' if exported else 'store'} {steps.content_hash()}"
-    return Flights(identity, steps, train, val, statistics)
+    return FlightSamples(identity, steps, train, val, statistics)
 
 
 def _steps_of(steps: Steps, split: Split, category: Category | None) -> Numbers:
@@ -128,7 +128,7 @@ def validation_rows(numbers: Numbers, frames: int) -> Numbers:
 class SampleMaker:
     """Makes samples from the steps of flights."""
 
-    flights: Flights
+    flights: FlightSamples
     encode: Encoder
     preparation: ImagePreparation
 

@@ -40,17 +40,21 @@ from cognitivedrone.models.openvla.config import ACTION_SIZE, KEY
 from cognitivedrone.models.openvla.prepare import read_encoder
 from cognitivedrone.models.openvla.weights import load, save
 from cognitivedrone.training.openvla.adapters import (
+    USUAL_MICRO_BATCH,
     add_adapters,
     as_module,
+    check_merging,
+    fingerprint,
+    fitted,
     merge_adapters,
+    read_base,
     state_of,
     take_adapters,
     take_moments,
 )
-from cognitivedrone.training.openvla.base import USUAL_MICRO_BATCH, check_merging, fingerprint, fitted, read_base
 from cognitivedrone.training.openvla.data import (
     ANSWER,
-    Flights,
+    FlightSamples,
     SampleMaker,
     Samples,
     answer_measures,
@@ -92,7 +96,7 @@ class FineTuning:
     """Key of the action statistics in the checkpoint: its `unnorm_key`."""
 
     @cached_property
-    def flights(self) -> Flights:
+    def flights(self) -> FlightSamples:
         """The data; raises `DataError` or `TrainingError`, see `open_flights`."""
         return open_flights(self.data, self.recipe.category)
 

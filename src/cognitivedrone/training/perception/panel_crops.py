@@ -22,8 +22,7 @@ from cognitivedrone.tasks.suites import drawn_task
 from cognitivedrone.tasks.vocabulary import LOGO_STYLE, LOGOS, TRAIN_STYLES
 from cognitivedrone.training.perception.attributes import known_person
 from cognitivedrone.training.perception.photographic import Photographic, Shares, background
-from cognitivedrone.training.perception.pictures import PACK, TrainingPictures
-from cognitivedrone.training.perception.restyle import restyled
+from cognitivedrone.training.perception.pictures import PACK, TrainingPictures, restyled
 from cognitivedrone.types import FloatArray, Image
 from cognitivedrone.world.places import load_place, names
 

@@ -19,7 +19,7 @@ from cognitivedrone.models.eyes.panel_reader import Reader, ReaderConfig
 from cognitivedrone.terminal.progress import counted
 from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.training.perception.panel_crops import PanelCrops, WiderWorld
-from cognitivedrone.training.trainer.start import Start, restore_part
+from cognitivedrone.training.trainer.start import StartingPoint, restore_part
 
 CROPS = 12_000
 """Crops that a bank is made from."""
@@ -125,7 +125,9 @@ def read_bank(reader: Reader, index: AttributeIndex, draw: DrawCrops, seed: int 
     return Bank({value: np.stack(rows) for value, rows in found.items()}, strange)
 
 
-def readings_of(start: Start, index: AttributeIndex, crops: Callable[[int], PanelCrops] | None = None) -> Readings:
+def readings_of(
+    start: StartingPoint, index: AttributeIndex, crops: Callable[[int], PanelCrops] | None = None
+) -> Readings:
     """The readings of a trained reader, or of a policy's; of panel crops for training, or of those of a crop size."""
     reader = Reader(ReaderConfig.of(start.reader_facts()), len(index.schema.names))
     restore_part(start, "reader", reader)

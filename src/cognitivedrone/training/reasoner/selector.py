@@ -25,8 +25,8 @@ from cognitivedrone.training.language.problems import NAMES, SHARES, Mix, Proble
 from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.training.perception.calibration import calibration_crops, temperature_of
 from cognitivedrone.training.perception.readings import Readings, readings_of
-from cognitivedrone.training.reasoner.pretrained import ORIGIN, packaged_pieces, pretrained_pieces, take_pretrained
-from cognitivedrone.training.trainer.start import Start, read_start
+from cognitivedrone.training.reasoner.selector_files import ORIGIN, packaged_pieces, pretrained_pieces, take_pretrained
+from cognitivedrone.training.trainer.start import StartingPoint, read_start
 from cognitivedrone.training.trainer.training_task import Batch, Batches, Given, Learner, Recipe, Row, to_tensors
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
 
@@ -58,7 +58,7 @@ class SelectorRecipe(Recipe):
         return SelectorTraining(replace(self, network=network), pieces, read_start(given.start, "reader"))
 
 
-class Encoder:
+class SelectorEncoder:
     """Writes problems as a reader reports them, and encodes them as inputs of the gate selector."""
 
     def __init__(self, doubt: float, tokenizer: SceneTokenizer, readings: Readings) -> None:
@@ -132,7 +132,7 @@ class SelectorTraining:
 
     recipe: SelectorRecipe
     pieces: tuple[str, ...]
-    start: Start
+    start: StartingPoint
     """The panel reader that it listens to, or a policy with it."""
 
     def identity(self) -> dict[str, Any]:
@@ -217,7 +217,7 @@ class SelectorTraining:
     def export(self, checkpoint: Path, folder: Path) -> None:
         """The calibrated gate selector and the picture classifier; the policy's export has a reasoner's other files."""
         from cognitivedrone.training.reasoner.classifier import write_classifier
-        from cognitivedrone.training.reasoner.export import export_selector
+        from cognitivedrone.training.reasoner.selector_files import export_selector
 
         export_selector(checkpoint, folder, self.temperature)
         if self.recipe.pretrained:
@@ -229,16 +229,16 @@ class SelectorTraining:
         """
         index = AttributeIndex(self.start.facts["attributes"])
         readings = readings_of(self.start, index, lambda size: calibration_crops(size, index))
-        encoder = Encoder(1.0, SceneTokenizer(self.pieces), readings)
+        encoder = SelectorEncoder(1.0, SceneTokenizer(self.pieces), readings)
         rng = np.random.default_rng((0, _VALIDATION + 2))
         problems = drawn(Problems(self.recipe.mix), rng, self.recipe.validation_tasks)
         batches = encoder.batches(rng, problems, 2 * self.recipe.batch)
         logits = torch.cat([choose(batch) for batch in batches])
         return temperature_of(logits, torch.cat([torch.from_numpy(batch["target"]) for batch in batches]))
 
-    def _encoder(self) -> Encoder:
+    def _encoder(self) -> SelectorEncoder:
         index = AttributeIndex(self.start.facts["attributes"])
-        return Encoder(self.recipe.doubt, SceneTokenizer(self.pieces), readings_of(self.start, index))
+        return SelectorEncoder(self.recipe.doubt, SceneTokenizer(self.pieces), readings_of(self.start, index))
 
 
 def drawn(problems: Problems, rng: np.random.Generator, count: int) -> list[Problem]:

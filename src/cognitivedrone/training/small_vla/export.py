@@ -1,4 +1,4 @@
-"""Export of a checkpoint to the model file: a self-describing ONNX graph with half-precision weights."""
+"""From the checkpoint of a small VLA to its model file: a self-describing ONNX graph with half-precision weights."""
 
 from __future__ import annotations
 
@@ -20,19 +20,34 @@ from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.eyes.panel_reader import ReaderConfig
 from cognitivedrone.models.onnx_file import LARGEST_BYTES, Provenance
 from cognitivedrone.models.small_file import ActionStatistics, Description, SmallModel, describe
-from cognitivedrone.models.small_vla import STATE, SmallVLA
+from cognitivedrone.models.small_vla import STATE, SmallVLA, SmallVLAConfig
 from cognitivedrone.models.words.gate_selector import SelectorConfig
 from cognitivedrone.models.words.language import PARTS, LanguageConfig
 from cognitivedrone.models.words.scene_tokens import LENGTHS
 from cognitivedrone.models.words.text_encoder import FILE, packaged_encoder
 from cognitivedrone.policies.expert import ExpertConfig
-from cognitivedrone.training.small_vla.graph import write_onnx
-from cognitivedrone.training.small_vla.language.language_network import LanguageLoss, LanguageNetwork
-from cognitivedrone.training.small_vla.parts import opinions_example, write_encoder, write_reasoner_parts
-from cognitivedrone.training.small_vla.recorded import training_batches
+from cognitivedrone.training.small_vla.graph import opinions_example, write_encoder, write_onnx, write_reasoner_parts
+from cognitivedrone.training.small_vla.language.described import LanguageLoss, LanguageNetwork
 from cognitivedrone.training.small_vla.sampling import SampleSource, StreamRecipe
-from cognitivedrone.training.small_vla.trained import load_trained
+from cognitivedrone.training.small_vla.stream import training_batches
 from cognitivedrone.training.trainer.checkpoint import read_checkpoint, restore, save_checkpoint
+from cognitivedrone.training.trainer.start import StartingPoint, read_start
+
+
+def load_trained(path: Path | None) -> tuple[SmallVLA, StartingPoint]:
+    """A policy from its checkpoint or model file, or the packaged one; ready to fly."""
+    start = read_start(path, "policy")
+    return trained(start), start
+
+
+def trained(start: StartingPoint) -> SmallVLA:
+    """The policy in `start`, ready to fly."""
+    facts: dict[str, Any] = start.facts
+    network = SmallVLA(SmallVLAConfig.of(facts["recipe"]["network"]), AttributeSchema(tuple(facts["attributes"])))
+    start.restore(network)
+    network.eval()
+    return network
+
 
 _STATISTICS_FRAMES = 2_000
 _STATISTICS_SEED = (0, 10**6 + 1)

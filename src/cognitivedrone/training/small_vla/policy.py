@@ -1,31 +1,81 @@
-"""The small VLA as a training task: its batches, curves and trials."""
+"""The small VLA as a training task: its batches, curves and trials; as a batched policy for flights during training;
+and training on flying alone.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import nn
 
 from cognitivedrone.data.store import Store
 from cognitivedrone.envs.track_runner import TrackConfig
+from cognitivedrone.envs.worlds import Worlds
 from cognitivedrone.errors import TrainingError
+from cognitivedrone.labels import load_pack
 from cognitivedrone.models.eyes.panel_reader import ReaderConfig
 from cognitivedrone.models.small_vla import SmallVLA, SmallVLAConfig
 from cognitivedrone.models.words.language import LanguageConfig
-from cognitivedrone.models.words.text_encoder import encoder_of
-from cognitivedrone.tasks import load_suite
+from cognitivedrone.models.words.text_encoder import TextEncoderModel, encoder_of, packed
+from cognitivedrone.tasks import Suite, load_suite
 from cognitivedrone.training.perception.attributes import ATTRIBUTES, AttributeIndex
-from cognitivedrone.training.small_vla.losses import LossModule, LossWeights
-from cognitivedrone.training.small_vla.pilot import NetworkPilot, fly_suite
-from cognitivedrone.training.small_vla.recorded import training_batches
+from cognitivedrone.training.perception.ground_truth import Poses
+from cognitivedrone.training.small_vla.export import trained
+from cognitivedrone.training.small_vla.losses import LossWeights, SmallVlaLosses, validate
 from cognitivedrone.training.small_vla.sampling import SampleSource, StreamRecipe
-from cognitivedrone.training.small_vla.validation import validate
-from cognitivedrone.training.trainer.start import Start, read_start, restore_part
-from cognitivedrone.training.trainer.training_task import Batch, Batches, Given, Recipe, Row
+from cognitivedrone.training.small_vla.stream import training_batches
+from cognitivedrone.training.trainer.start import StartingPoint, read_start, restore_part
+from cognitivedrone.training.trainer.training_task import Batch, Batches, Given, Recipe, Row, trains_in_bf16
+from cognitivedrone.types import FloatArray, Image, StageResult
+
+
+class NetworkPilot:
+    """Batched policy of a network; its only inputs are images, motion and sentences."""
+
+    def __init__(self, network: SmallVLA, encoder: Path | None) -> None:
+        """`encoder` is the file of its text encoder, if it reads sentences."""
+        self.network = network
+        self._encoder = None if encoder is None else TextEncoderModel.load(encoder)
+
+    def act(self, images: Image, states: NDArray[np.float32], texts: Sequence[str]) -> FloatArray:
+        """The first actions (n, 4), m/s and rad/s, for images (n, 256, 256, 3), states (n, 5) and n sentences."""
+        network = self.network
+        device = next(network.parameters()).device
+        arrays = [np.ascontiguousarray(images), states]
+        if self._encoder is not None:
+            arrays.append(packed([self._encoder.words(text) for text in texts]))
+        training = network.training
+        network.eval()
+        with torch.no_grad(), torch.autocast(device.type, torch.bfloat16, enabled=trains_in_bf16()):
+            actions, *_ = network(*(torch.from_numpy(array).to(device) for array in arrays))
+        network.train(training)
+        first: FloatArray = actions[:, 0].float().cpu().numpy()
+        return first
+
+
+def fly_suite(pilot: NetworkPilot, suite: Suite, config: TrackConfig, seed: int = 0) -> list[StageResult]:
+    """Fly every track of a suite in closed loop, all together; results in the order of the suite."""
+    with Worlds(len(suite.tracks), load_pack("open-v1"), config) as worlds:
+        for world in range(len(suite.tracks)):
+            worlds.begin(world, suite, world, seed)
+        while flying := worlds.flying:
+            flight = worlds.simulator.flight
+            poses = Poses(flight.position, flight.quaternion, flight.velocity, flight.body_rates[:, 2])
+            frames, states = worlds.simulator.frames(worlds=flying), poses.state()[flying]
+            texts = [worlds.runners[world].task.instruction for world in flying]
+            for begin in range(0, len(flying), 32):
+                part = slice(begin, begin + 32)
+                worlds.command(pilot.act(frames[part], states[part], texts[part]), flying[part])
+            worlds.advance()
+        return [result for runner in worlds.runners for result in runner.results]
+
 
 _VALIDATION = 10**6  # rank of the generator of validation frames: no training process has it
 
@@ -69,7 +119,7 @@ class PolicyTraining:
     """Its network is as large as attribute values and language require."""
     attributes: tuple[str, ...]
     """Names of the attribute values that its panel reader gives."""
-    start: Start | None = None
+    start: StartingPoint | None = None
     """Where its panel reader and its language come from."""
     data: Path | None = None
 
@@ -98,10 +148,10 @@ class PolicyTraining:
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return network
 
-    def loss_module(self, network: nn.Module) -> LossModule:
+    def loss_module(self, network: nn.Module) -> SmallVlaLosses:
         """The network with the recipe's loss weights."""
         assert isinstance(network, SmallVLA)  # noqa: S101  (for the type checker)
-        return LossModule(network, self.recipe.losses)
+        return SmallVlaLosses(network, self.recipe.losses)
 
     def learner(self, network: nn.Module) -> NetworkPilot | None:
         """A batched policy, if flights are made and the recipe lets the network fly some."""
@@ -128,7 +178,7 @@ class PolicyTraining:
 
     def validate(self, loss_module: nn.Module, batches: list[Batch], autocast: Any) -> Row:
         """Metrics as in the literature on OpenVLA."""
-        assert isinstance(loss_module, LossModule)  # noqa: S101
+        assert isinstance(loss_module, SmallVlaLosses)  # noqa: S101
         return validate(loss_module, batches, autocast)
 
     def trial(self, network: nn.Module) -> Row:
@@ -160,3 +210,52 @@ def trial(pilot: NetworkPilot, suite: str, count: int) -> Row:
         own = [result.outcome == "passed" for result in results if result.family == family]
         row[f"success {family}"] = sum(own) / len(own)
     return row
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlightRecipe(TrainRecipe):
+    """Everything that determines a training run on flying alone, except its start, processes and seed."""
+
+    needs_start: ClassVar[bool] = True
+
+    def training(self, given: Given) -> FlightTraining:
+        """The policy of a checkpoint or model file, which gives its network."""
+        origin = read_start(given.start, "policy")
+        origin.reader_facts()  # a racing policy has no language to keep
+        network = trained(origin).config
+        recipe = replace(self, network=network, stream=replace(self.stream, chunk=network.chunk))
+        return FlightTraining(recipe, tuple(origin.facts["attributes"]), origin, given.data)
+
+
+FLIGHT = FlightRecipe(
+    name="flight",
+    steps=2_000,
+    learning_rate=5e-4,
+    decay_share=0.6,
+    stream=StreamRecipe(typed=0.5, layouts=0.8),
+)
+
+PLACES = replace(
+    FLIGHT,
+    name="places",
+    steps=3_000,
+    learning_rate=3e-4,
+    stream=StreamRecipe(typed=0.5, layouts=0.4, places=0.5, sentences=2),
+)
+"""Half of the flights are in photographed places, the others in plain and varied rooms as before. Few sentences a
+frame: language is frozen, and reading them would take three times as long as drawing and flying."""
+
+
+@dataclass(frozen=True)
+class FlightTraining(PolicyTraining):
+    """A small VLA whose language and panel reader are frozen."""
+
+    def network(self) -> SmallVLA:
+        """The policy's network, channels last in memory for speed; only finding gates and flying can learn."""
+        assert self.start is not None  # noqa: S101  (for the type checker)
+        network = trained(self.start)
+        for part in (network.language, network.reader):
+            assert part is not None  # noqa: S101
+            part.requires_grad_(requires_grad=False)
+        network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        return network

@@ -15,7 +15,7 @@ from cognitivedrone.models.words.text_encoder import TextEncoderModel
 from cognitivedrone.policies.expert import ExpertConfig
 from cognitivedrone.tasks.directives import write_directive
 from cognitivedrone.tasks.generate import TRAIN, Pools
-from cognitivedrone.training.language.held_out import is_held_out
+from cognitivedrone.training.language.problems import is_held_out
 from cognitivedrone.training.language.questions import ask, families
 from cognitivedrone.training.language.wordings import TYPED
 from cognitivedrone.training.perception.attributes import gate_looks

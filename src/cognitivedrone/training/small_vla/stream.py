@@ -13,14 +13,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cognitivedrone.envs.track_runner import TrackConfig, draw_start
+from cognitivedrone.data.episode import Split
+from cognitivedrone.data.store import Store
+from cognitivedrone.envs.track_runner import TrackConfig, draw_start, stage_of
 from cognitivedrone.envs.worlds import Worlds
-from cognitivedrone.frames import rotate_yaw
+from cognitivedrone.errors import TrainingError
+from cognitivedrone.frames import rotate_yaw, yaw_of
 from cognitivedrone.labels import load_pack
 from cognitivedrone.layout import draw_layout
 from cognitivedrone.policies.expert import intent
@@ -30,8 +34,8 @@ from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.families.racing import crowded_task, race_task
 from cognitivedrone.tasks.validate import right_gate
 from cognitivedrone.training.perception.ground_truth import Poses
-from cognitivedrone.training.small_vla.sampling import Setting, StreamRecipe
-from cognitivedrone.training.trainer.training_task import Batch, Filling, Learner
+from cognitivedrone.training.small_vla.sampling import Sampler, SampleSource, Setting, StreamRecipe
+from cognitivedrone.training.trainer.training_task import Batch, Batches, Filling, Learner
 from cognitivedrone.types import Commands, FloatArray, Image, Stage, Task
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import PLAIN, photo_appearance, varied_appearance
@@ -41,7 +45,7 @@ _HOPELESS = TrackConfig(time_limit_s=14.1)  # a flight of so long leads nowhere
 _BOUND_M = 9.0  # beyond this distance from the stage's origin there is nothing to learn
 
 
-class Flight(Setting):
+class StreamFlight(Setting):
     """One flight in progress."""
 
     def __init__(self, task: Task, stage: Stage, flown: int, *, learner: bool, wander: float, speed: float) -> None:
@@ -73,7 +77,7 @@ class RolloutStream:
         self._worlds = Worlds(recipe.worlds, load_pack(), _HOPELESS)
         self._rng = np.random.default_rng()
         self._learner: Learner | None = None
-        self._flights: list[Flight] = []
+        self._flights: list[StreamFlight] = []
         self._report: Filling = lambda *_: None
 
     def watch(self, report: Filling) -> None:
@@ -114,7 +118,7 @@ class RolloutStream:
             task = replace(task, layout=draw_layout(rng, task.gates, board=task.board is not None))
         return task
 
-    def _begin(self, world: int) -> Flight:
+    def _begin(self, world: int) -> StreamFlight:
         rng, recipe, task = self._rng, self.recipe, self._task()
         if recipe.places and rng.random() < recipe.places:
             appearance = photo_appearance(rng, names("training"))
@@ -131,7 +135,7 @@ class RolloutStream:
         flown = right_gate(task) if learner or not others or rng.random() < 0.5 else int(rng.choice(others))
         wander = float(rng.uniform(0.3, 1.2)) if rng.random() < recipe.wander else 0.0
         speed = float(rng.uniform(1.3, 1.8))
-        return Flight(task, stage, flown, learner=learner, wander=wander, speed=speed)
+        return StreamFlight(task, stage, flown, learner=learner, wander=wander, speed=speed)
 
     def _draw_start(self) -> tuple[Start, FloatArray]:
         """Initial conditions of a flight, and its velocity, heading frame, m/s."""
@@ -193,3 +197,62 @@ class RolloutStream:
         centers = np.stack([geometry.gate_centers(each.stage)[each.flown] for each in flights])
         yaws = np.array([geometry.gate_yaws(each.stage)[each.flown] for each in flights])
         return intent(flight.position, flight.velocity, flight.yaw, centers, yaws, self.recipe.expert)
+
+
+class Recorded:
+    """The steps of a split of a data set, as batches in random order."""
+
+    def __init__(self, folder: Path, recipe: StreamRecipe, source: SampleSource, split: Split = "train") -> None:
+        self._recipe, self._split = recipe, split
+        self._sampler = Sampler(recipe, source)
+        self._store = Store(folder)
+        self._steps = self._store.step_numbers(split)
+        if not len(self._steps):
+            raise TrainingError(f"{folder}: has no step in its {split} split; collect more flights")
+        self._episode = self._store.episode_rows()
+        self._tasks = self._store.tasks()
+        self._settings: dict[int, Setting] = {}
+        columns = self._store.columns("position", "quaternion", "velocity", "yaw_rate", "action")
+        velocity = rotate_yaw(columns["velocity"].astype(np.float64), yaw_of(columns["quaternion"]))
+        self._poses = Poses(columns["position"], columns["quaternion"], velocity, columns["yaw_rate"])
+        self._action = columns["action"]
+
+    def batches(self, seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
+        """Endless batches: all steps in a new random order, again and again; no `learner` can fly here."""
+        del learner
+        rng = np.random.default_rng(seed)
+        left = np.empty(0, np.int64)
+        while True:
+            while len(left) < self._recipe.batch:
+                left = np.concatenate([left, rng.permutation(self._steps)])
+            taken, left = left[: self._recipe.batch], left[self._recipe.batch :]
+            yield self._sample(rng, taken)
+
+    def _sample(self, rng: np.random.Generator, steps: NDArray[np.int64]) -> Batch:
+        settings = [self._setting(row) for row in self._episode[steps].tolist()]
+        poses = Poses(*(values[steps] for values in self._poses))
+        batch = self._sampler.sample(rng, poses, settings, self._store.steps(steps)["image"])
+        ahead = self._ahead(steps)
+        batch["action"][np.arange(len(steps)), batch["flown"]] = self._action[ahead]
+        return batch
+
+    def _ahead(self, steps: NDArray[np.int64]) -> NDArray[np.int64]:
+        """(n, chunk) numbers of the following steps, clamped to the flight's last."""
+        ends = np.searchsorted(self._episode, self._episode[steps], side="right") - 1
+        ahead: NDArray[np.int64] = np.minimum(steps[:, None] + np.arange(self._recipe.chunk), ends[:, None])
+        return ahead
+
+    def _setting(self, row: int) -> Setting:
+        if row not in self._settings:
+            task = self._tasks[row]
+            self._settings[row] = Setting(task, stage_of(task), right_gate(task))
+        return self._settings[row]
+
+
+def training_batches(
+    stream: StreamRecipe, source: SampleSource, data: Path | None, *, validation: bool = False
+) -> Batches:
+    """Batches from a split of a data set or, without one, from flights made during training, split by seed."""
+    if data is None:
+        return RolloutStream(stream, Sampler(stream, source))
+    return Recorded(data, stream, source, "val" if validation else "train").batches

@@ -10,7 +10,7 @@ import hashlib
 import re
 import warnings
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,12 +23,56 @@ from cognitivedrone.models.words.text import NUMBER_WORDS
 from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.format import MAX_FILE_BYTES, read_tasks
+from cognitivedrone.tasks.knowledge import Claim, own_claims
 from cognitivedrone.tasks.published import task_files
 from cognitivedrone.tasks.vocabulary import LETTERS, LOGOS
+from cognitivedrone.training.language.fact_phrasing import AS_NOUN
 from cognitivedrone.training.perception.attributes import concept_name
-from cognitivedrone.training.teach.facts import facts_file, stated
-from cognitivedrone.training.teach.statement import Statement
 from cognitivedrone.types import COLORS, SHAPES, Task
+
+
+@dataclass(frozen=True, slots=True)
+class Statement:
+    """A way to ask, and the taught pictures for which it is right and clearly wrong."""
+
+    phrases: tuple[str, ...]
+    """Noun phrases, as in "the gate with ..."."""
+    sentences: tuple[str, ...]
+    """Whole instructions."""
+    true: tuple[str, ...]
+    """Names of attribute values, as in "concept/thing:violin"."""
+    false: tuple[str, ...]
+    by_name: bool = False
+    """Whether it asks for a concept by its name."""
+
+
+FACTS_FILE = "facts.csv"
+
+
+def facts_file(labels: Path) -> Path | None:
+    """The table of facts in a folder of pictures, if it has one."""
+    path = labels / FACTS_FILE
+    return path if path.exists() or path.is_symlink() else None  # a link to nothing is a mistake, not no table
+
+
+def stated(path: Path, kinds: Mapping[str, str]) -> list[Statement]:
+    """What the table in `path` says of the concepts of a lesson, given with the folder of each.
+
+    Claims that single out none of the concepts are left out. Raises `TaskError` for a bad table.
+    """
+    names = {f"{kind}/{name.partition(':')[2]}": name for name, kind in kinds.items()}
+    return [made for claim in own_claims(path, names) if (made := _statement(claim, names)) is not None]
+
+
+def _statement(claim: Claim, names: Mapping[str, str]) -> Statement | None:
+    true = tuple(sorted(names[thing] for thing in claim.true if thing in names))
+    false = tuple(sorted(names[thing] for thing in claim.false if thing in names))
+    if not true or len(false) < 2:
+        return None
+    phrases = tuple(frame.format(x=phrase.text) for phrase in claim.phrases for frame in AS_NOUN.get(phrase.form, ()))
+    sentences = tuple(phrase.text for phrase in claim.phrases if phrase.form == "clause")
+    return Statement(phrases, sentences, true, false) if phrases or sentences else None
+
 
 LARGEST_LESSON = 5_000
 """Maximum number of concepts."""

@@ -14,8 +14,7 @@ from cognitivedrone.training.language.problems import ABSENT, Problem, Problems,
 from cognitivedrone.training.language.wordings import TYPED
 from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.training.perception.panel_crops import PanelCrops, WiderWorld, panel_image_of
-from cognitivedrone.training.teach.lesson import Lesson, attribute_of
-from cognitivedrone.training.teach.statement import Statement
+from cognitivedrone.training.teach.lesson import Lesson, Statement, attribute_of
 from cognitivedrone.types import Image, Task
 
 _SIDE = 64  # pixels of a stored picture

@@ -12,8 +12,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
+from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.errors import ModelError, TrainingError
+from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.reasoner_file import SELECTOR_FILE, GateSelectorModel
 from cognitivedrone.models.small_vla import SmallVLA
 from cognitivedrone.models.words.text_encoder import TextEncoderModel, encoder_of, packed
@@ -21,14 +23,61 @@ from cognitivedrone.terminal import console
 from cognitivedrone.training.language.problems import Problem, Problems
 from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.training.perception.readings import Readings, readings_of
-from cognitivedrone.training.reasoner.pretrained import packaged_selector
 from cognitivedrone.training.reasoner.reader import ReaderLoss
+from cognitivedrone.training.reasoner.selector_files import packaged_selector
+from cognitivedrone.training.small_vla.export import trained
+from cognitivedrone.training.small_vla.language import spoken
 from cognitivedrone.training.small_vla.language.described import TextMix, scenes, text_loss
-from cognitivedrone.training.teach.growth import grown_policy, with_names
 from cognitivedrone.training.teach.lesson import Lesson, read_lesson
 from cognitivedrone.training.teach.practice import LessonCrops, LessonProblems
-from cognitivedrone.training.trainer.start import Start, read_start
+from cognitivedrone.training.trainer.start import StartingPoint, read_start
 from cognitivedrone.training.trainer.training_task import Batch, Batches, Given, Learner, Recipe, Row, to_tensors
+
+_UNSEEN_BIAS = -4.0  # a new concept begins as an unlikely one
+
+
+def with_names(known: tuple[str, ...], new: tuple[str, ...]) -> tuple[str, ...]:
+    """A list of attribute values with new ones at the end of the concepts, because groups are contiguous."""
+    end = AttributeSchema(known).groups["concept"].stop
+    return (*known[:end], *new, *known[end:])
+
+
+def grown_policy(start: StartingPoint, names: tuple[str, ...]) -> SmallVLA:
+    """A policy for more attribute values. A new one begins as what its name means, so it is understood by name."""
+    before = trained(start)
+    assert before.reader is not None and before.language is not None  # noqa: S101, PT018  (for the type checker)
+    network = SmallVLA(before.config, AttributeSchema(names))
+    rows = _rows(before.schema.names, names)
+    moved = ("reader.attributes.weight", "reader.attributes.bias", "reader.temperature", "language.prototypes")
+    _move(before, network, moved, rows)
+    new = [row for row in range(len(names)) if row not in set(rows.tolist())]
+    if new:
+        concepts = [name for name in before.schema.names if name.startswith("concept/")]
+        encoder = TextEncoderModel.load(encoder_of(start.path))
+        texts = [spoken(name) for name in (*concepts, *(names[row] for row in new))]
+        meanings = torch.from_numpy(encoder.meanings(texts))
+        known, taught = meanings[: len(concepts)], meanings[len(concepts) :]
+        with torch.no_grad():
+            assert network.reader is not None and network.language is not None  # noqa: S101, PT018
+            network.reader.attributes.bias[new] = _UNSEEN_BIAS
+            length = before.language.prototypes.norm(dim=-1).mean()
+            network.language.prototypes[new] = length * F.normalize(taught - known.mean(0), dim=-1)
+    return network
+
+
+def _rows(before: tuple[str, ...], after: tuple[str, ...]) -> Tensor:
+    """For each name of before, its index in after."""
+    places = {name: index for index, name in enumerate(after)}
+    return torch.tensor([places[name] for name in before])
+
+
+def _move(before: nn.Module, after: nn.Module, moved: Sequence[str], rows: Tensor) -> None:
+    """Copy all weights; those in `moved` to other rows."""
+    state = after.state_dict()
+    for name, value in before.state_dict().items():
+        state[name] = state[name].index_copy(0, rows, value) if name in moved else value
+    after.load_state_dict(state)
+
 
 _VALIDATION = 10**6
 _POOL, _REPEATS = 16, 4  # batches whose sentences are encoded at once, and how often each sentence is used
@@ -82,7 +131,7 @@ def summary_of(lesson: Lesson, known: tuple[str, ...]) -> str:
     return summary
 
 
-def pilot_of(start: Path | None) -> tuple[Start, Path]:
+def pilot_of(start: Path | None) -> tuple[StartingPoint, Path]:
     """Policy, and file of the gate selector, of the packaged pilot or of the folder of an earlier lesson.
 
     Raises `TrainingError`.
@@ -102,7 +151,7 @@ class TeachTraining:
 
     recipe: TeachRecipe
     lesson: Lesson
-    policy: Start
+    policy: StartingPoint
     selector: Path
     """File of the reasoner's gate selector."""
     readings: Readings
@@ -190,9 +239,9 @@ class TeachTraining:
     def export(self, checkpoint: Path, folder: Path) -> None:
         """The files of policy, panel reader and gate selector."""
         from cognitivedrone.models.small_file import statistics_of
-        from cognitivedrone.training.reasoner.export import write_taught_selector
+        from cognitivedrone.training.reasoner.selector_files import write_taught_selector
         from cognitivedrone.training.small_vla.export import copy_encoder, provenance_of, write_policy
-        from cognitivedrone.training.small_vla.parts import write_reasoner_parts
+        from cognitivedrone.training.small_vla.graph import write_reasoner_parts
         from cognitivedrone.training.trainer.checkpoint import read_checkpoint, restore
 
         tensors, facts = read_checkpoint(checkpoint)

@@ -27,7 +27,7 @@ _FILE = "small.onnx"
 
 
 @dataclass(frozen=True)
-class Start:
+class StartingPoint:
     """Trained weights and what is known of them. Small enough to be handed to other processes by its path."""
 
     path: Path
@@ -88,7 +88,7 @@ class _Facts:
     pieces: tuple[str, ...] = ()
 
 
-def read_start(path: Path | None, part: Part) -> Start:
+def read_start(path: Path | None, part: Part) -> StartingPoint:
     """A start from a checkpoint or a policy's model file; None, or "small", is the packaged policy.
 
     A policy has language and reader, and language has a reader. Raises `TrainingError`.
@@ -97,7 +97,7 @@ def read_start(path: Path | None, part: Part) -> Start:
         path = Path(str(resources.files("cognitivedrone.models") / "weights" / _FILE))
     if path.suffix == ".onnx":
         facts = _facts_of_model(path)
-        return Start(path, "policy", f"from {path.name}, {facts['origin']}", facts)
+        return StartingPoint(path, "policy", f"from {path.name}, {facts['origin']}", facts)
     facts = read_checkpoint(path)[1]
     if "attributes" not in facts or "vocabulary" in facts:
         raise TrainingError(f"{path}: the checkpoint is of an earlier version of the networks; train it again")
@@ -105,10 +105,10 @@ def read_start(path: Path | None, part: Part) -> Start:
     found = _part_of(facts["recipe"])
     if found != part and part not in _HAS.get(found, ()):
         raise TrainingError(f"{path}: this is the checkpoint of a {found}; expected that of a {part}")
-    return Start(path, found, origin_of(facts), facts)
+    return StartingPoint(path, found, origin_of(facts), facts)
 
 
-def restore_part(start: Start, part: str, network: nn.Module) -> None:
+def restore_part(start: StartingPoint, part: str, network: nn.Module) -> None:
     """Load a part of another network, such as the reader of a policy. Raises `TrainingError`."""
     tensors = start.tensors()
     prefix = f"{part}."

@@ -25,11 +25,9 @@ from cognitivedrone.models import card
 from cognitivedrone.terminal import console
 from cognitivedrone.terminal.progress import progress_bar
 from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint, restore, save_checkpoint, step_of
-from cognitivedrone.training.trainer.pace import Pace
-from cognitivedrone.training.trainer.precision import trains_in_bf16
 from cognitivedrone.training.trainer.prefetch import LEARNERS, PrefetchQueue, learner_path
-from cognitivedrone.training.trainer.run_log import BOARD, RunLog
-from cognitivedrone.training.trainer.training_task import Batch, Row, Schedule, TrainingTask, to_tensors
+from cognitivedrone.training.trainer.run_log import BOARD, Pace, RunLog
+from cognitivedrone.training.trainer.training_task import Batch, Row, Schedule, TrainingTask, to_tensors, trains_in_bf16
 
 _VALIDATED = ("choice accuracy", "text accuracy", "l1", "accuracy", "cross-entropy", "success")
 _SILENCE_S = 20.0

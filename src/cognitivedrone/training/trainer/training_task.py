@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import json
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, Self, TypeAlias, runtime_checkable
+from typing import Any, ClassVar, Final, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
 import torch
@@ -193,3 +195,24 @@ class TrainingTask(Protocol):
 def to_tensors(batch: Batch, device: torch.device | str = "cpu") -> dict[str, Tensor]:
     """The arrays of a batch as tensors, sharing memory if possible."""
     return {name: torch.from_numpy(np.ascontiguousarray(values)).to(device) for name, values in batch.items()}
+
+
+_PROCESSOR: Final = Path("/proc/cpuinfo")
+
+
+@functools.cache
+def trains_in_bf16() -> bool:
+    """Whether this machine does. What has no bfloat16 only emulates it, several times slower than float32."""
+    if torch.cuda.is_available():
+        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
+    return multiplies_bf16(_PROCESSOR)
+
+
+def multiplies_bf16(processor: Path) -> bool:
+    """Whether Linux lists bfloat16 among a processor's instructions: avx512_bf16 or amx_bf16 (x86), bf16 (Arm)."""
+    try:
+        text = processor.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return False
+    flags = " ".join(re.findall(r"^(?:flags|Features)\s*:(.*)$", text, flags=re.MULTILINE))
+    return any(flag.endswith("bf16") for flag in flags.split())

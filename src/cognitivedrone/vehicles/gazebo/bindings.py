@@ -1,26 +1,130 @@
-"""gz-transport's Python bindings, for every supported release of Gazebo.
-
-    bindings = load_bindings()             # the newest installed ones
-    node = bindings.new_node()             # to subscribe; services are called by `services.py`
-    Pose = bindings.message("Pose")
-
-Interface: https://gazebosim.org/api/transport/13/python.html; the messages are protobuf classes of gz-msgs.
-"""
+"""Gazebo's own Python: its supported releases, its bindings, and calls of its services from a process of their own."""
 
 from __future__ import annotations
 
 import importlib
+import json
 import re
 import shutil
 import subprocess
+import sys
+import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Final, Protocol
 
-from cognitivedrone.errors import GazeboError
-from cognitivedrone.vehicles.gazebo.release import RELEASES, Release, release_named
-from cognitivedrone.vehicles.gazebo.services import ServiceProcess, Services
+from cognitivedrone.errors import GazeboError, did_you_mean
+from cognitivedrone.system import own_session
+from cognitivedrone.system.processes import environment
+from cognitivedrone.text.json_text import parse_json
+
+
+@dataclass(frozen=True, slots=True)
+class Release:
+    """One release of Gazebo."""
+
+    name: str
+    sim: int
+    """Major version of gz-sim, as `gz sim --versions` prints it."""
+    package: str
+    """Debian package of the complete release."""
+    bindings: str
+    """Debian packages of the Python bindings."""
+    transport: str
+    """Module of gz-transport."""
+    messages: str
+    """Package of the modules of gz-msgs."""
+
+
+RELEASES: dict[str, Release] = {
+    release.name: release
+    for release in (
+        Release("jetty", 10, "gz-jetty", "python3-gz-transport15 python3-gz-msgs12", "gz.transport", "gz.msgs"),
+        Release("ionic", 9, "gz-ionic", "python3-gz-transport14 python3-gz-msgs11", "gz.transport14", "gz.msgs11"),
+        Release(
+            "harmonic", 8, "gz-harmonic", "python3-gz-transport13 python3-gz-msgs10", "gz.transport13", "gz.msgs10"
+        ),
+    )
+}
+"""By name, newest first. The same worlds work with all of them; Harmonic and Jetty have long-term support."""
+
+
+def release_named(name: str) -> Release:
+    """The release with this name; raises `GazeboError` with similar names."""
+    if name not in RELEASES:
+        raise GazeboError(f"unknown Gazebo release {name!r}; {did_you_mean(name, RELEASES)}")
+    return RELEASES[name]
+
+
+_PROGRAM: Final = "cognitivedrone.vehicles.gazebo.caller"
+
+_END_S: Final = 5.0
+
+
+class Services(Protocol):
+    """Something that calls services."""
+
+    def request(self, service: str, request: bytes, asks: str, answers: str, timeout_ms: int) -> bytes | None:
+        """Call a service with a message, of the type named `asks`; returns the one of type `answers`, none if late."""
+        ...
+
+    def close(self) -> None:
+        """Call no more."""
+        ...
+
+
+class ServiceProcess:
+    """A process that calls services of gz-transport, one at a time. Call `close` at the end.
+
+    It has the environment of its start, so the partition, too. Threads may share it.
+    """
+
+    def __init__(self, release: str) -> None:
+        self._process = subprocess.Popen(  # noqa: S603 - no part of the command comes from outside
+            [sys.executable, "-m", _PROGRAM, release],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            env=environment(),
+            **own_session(),  # ctrl-C is for us
+        )
+        self._one_at_a_time = threading.Lock()
+
+    def request(self, service: str, request: bytes, asks: str, answers: str, timeout_ms: int) -> bytes | None:
+        """As `Services`; raises `GazeboError` if the process has ended."""
+        call = json.dumps([service, request.hex(), asks, answers, timeout_ms])
+        inlet, outlet = self._process.stdin, self._process.stdout
+        if inlet is None or outlet is None:
+            raise GazeboError("the process that calls Gazebo's services has no input or output")
+        with self._one_at_a_time:
+            try:
+                inlet.write(call + "\n")
+                inlet.flush()
+                reply = outlet.readline()
+            except (OSError, ValueError):
+                reply = ""
+        if not reply:
+            raise GazeboError(
+                f"the process that calls Gazebo's services ended with {self._process.poll()};"
+                " what it printed above says why"
+            )
+        data = parse_json(reply)
+        return None if data is None else bytes.fromhex(data)
+
+    def close(self) -> None:
+        """End it."""
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                with suppress(OSError):
+                    pipe.close()
+        try:
+            self._process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
 
 MODULES = {
     "Boolean": "boolean_pb2",

@@ -1,34 +1,31 @@
-"""ArduPilot in a running Gazebo as an external flight, with Gazebo's camera as the view.
-
-    with open_gazebo() as flight:
-        world = ExternalWorld(flight, flight, IRIS.hull_radius)
-
-The vehicle takes off once and flies one task after the other. At the start of a flight it climbs or descends to the
-start's height and brakes; then the gates are placed relative to it. The true path reported by Gazebo is scored. Time is
-Gazebo's: it continues during inference.
-"""
+"""ArduPilot in a running Gazebo as an external flight, with Gazebo's camera as the view: from connection to landing."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from cognitivedrone.errors import LinkError, RunError
+from cognitivedrone.files.temporary import TemporaryFolder
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.sim.drone_world import Scenery, Start
-from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.sim.dynamics import BatchedFlight
 from cognitivedrone.types import CONTROL_HZ, DroneState, FloatArray, Image, Stage
 from cognitivedrone.vehicles.camera import Camera
-from cognitivedrone.vehicles.external import ExternalFlight, LinkReport, Placement, placed
-from cognitivedrone.vehicles.gazebo.live import GazeboWorld
+from cognitivedrone.vehicles.contract import Request
+from cognitivedrone.vehicles.external import ExternalFlight, ExternalWorld, LinkReport, Placement, placed
+from cognitivedrone.vehicles.gazebo.bindings import Bindings
+from cognitivedrone.vehicles.gazebo.live import GazeboWorld, LiveConfig
 from cognitivedrone.vehicles.gazebo.sensing import TruePath
-from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
+from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone, PassThroughGuard
+from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
+from cognitivedrone.vehicles.simulated import SimulatedFlight
 
 STILL_M_S: Final = 0.1
 """Maximum speed of a hover; also the maximum height error in m and yaw rate in rad/s."""
@@ -100,7 +97,7 @@ class GazeboFlight(ExternalFlight):
         )
 
     def advance(self, ticks: int) -> FloatArray:
-        """Advance until ticks of `Flight.TICK_S` have passed in Gazebo; returns the true positions (samples, 3).
+        """Advance until ticks of `BatchedFlight.TICK_S` have passed in Gazebo; returns the true positions (samples, 3).
 
         Inference that takes longer is not compensated for: the flight becomes longer by that time.
         """
@@ -108,7 +105,7 @@ class GazeboFlight(ExternalFlight):
             self._await_stage()
         self._report += LinkReport(frames=1)
         self._ticks += ticks
-        until = self._began + self._ticks * Flight.TICK_S
+        until = self._began + self._ticks * BatchedFlight.TICK_S
         behind = self._path.newest().time - until
         if behind > LATE_S:
             self._report += LinkReport(lost=1)
@@ -207,7 +204,7 @@ class GazeboFlight(ExternalFlight):
         """Continue from this moment: the time in between is not part of the flight."""
         now = self._path.until(0.0)[-1]
         self._state = self._placement.apply(now.state)
-        self._began = now.time - self._ticks * Flight.TICK_S
+        self._began = now.time - self._ticks * BatchedFlight.TICK_S
 
     def _send(self, action: FloatArray) -> None:
         if self._drone is not None:
@@ -240,3 +237,74 @@ def on_the_ground(placement: Placement, stage: Stage) -> Stage:
     """A stage of the benchmark's world, in the vehicle's coordinates."""
     x, y = rotate_yaw(np.array(stage.origin) - placement.shift[:2], -placement.turn)
     return replace(stage, origin=(float(x), float(y)), yaw=stage.yaw - placement.turn)
+
+
+URL: Final = "tcp:127.0.0.1:5760"
+"""Address at which the first ArduPilot on this machine accepts a ground station."""
+VEHICLE: Final = MavlinkConfig(
+    takeoff_height_m=1.5,
+    clock="vehicle",
+    set_parameters=True,
+    heartbeat_timeout_s=60.0,
+    ready_timeout_s=900.0,
+    takeoff_timeout_s=300.0,
+    landing_timeout_s=180.0,
+    only=frozenset({"FS_GCS_ENABLE", "battery", "camera"}),
+    put_back=False,
+)
+"""Its time limits are of the wall clock, and Gazebo's time may pass at a tenth of that on a busy machine."""
+SIMULATION_PARAMETER: Final = "SIM_SPEEDUP"
+"""Parameter that only software-in-the-loop builds of ArduPilot have."""
+
+
+@contextmanager
+def open_gazebo(
+    url: str = URL, config: LiveConfig | None = None, bindings: Bindings | None = None
+) -> Iterator[GazeboFlight]:
+    """The vehicle of the running Gazebo; it takes off at the first `begin`, and lands on exit.
+
+    Raises `GazeboError` if the bindings are missing, no Gazebo answers or it runs another world, and `CameraError` if
+    the camera sends no frames.
+    """
+    with ExitStack() as stack:
+        folder = stack.enter_context(TemporaryFolder("gazebo"))
+        world = stack.enter_context(GazeboWorld(folder, config, bindings))
+        path = world.path()
+        stack.callback(path.close)
+        camera = world.camera()
+        stack.callback(camera.close)
+        flight = GazeboFlight(world, path, camera, lambda: take_off(url, world))
+        stack.callback(flight.close)
+        yield flight
+
+
+def open_gazebo_vehicle(request: Request) -> SimulatedFlight:
+    """The vehicle of the running Gazebo. Time is Gazebo's, whatever the pace."""
+    with ExitStack() as undo:
+        flight = undo.enter_context(open_gazebo())
+        world = ExternalWorld(flight, flight, request.airframe.hull_radius)
+        return SimulatedFlight(world, request, undo.pop_all().close, flight=flight, renderer=lambda: flight.renderer)
+
+
+def take_off(url: str, world: GazeboWorld) -> MavlinkDrone:
+    """Take off with the world's vehicle; raises `LinkError` if it does not fly, or is not known to be simulated."""
+    drone = _Drone(url, world.camera(), PassThroughGuard(), VEHICLE)
+    with ExitStack() as undo:
+        undo.callback(drone.close)
+        if not drone.is_software:
+            raise LinkError(
+                f"the vehicle at {url} does not report that it is simulated, so it may be a real drone; start ArduPilot"
+                " as described in docs/gazebo.md, and stop any other program that listens there"
+            )
+        drone.take_off(lambda _: True)
+        undo.pop_all()
+    return drone
+
+
+class _Drone(MavlinkDrone):
+    """A drone that knows whether it is simulated."""
+
+    @property
+    def is_software(self) -> bool:
+        """Whether it reports to be simulated: software in the loop, or this project's own."""
+        return self.simulated or self.link.parameters([SIMULATION_PARAMETER])[SIMULATION_PARAMETER] is not None

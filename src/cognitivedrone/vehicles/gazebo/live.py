@@ -28,8 +28,7 @@ from cognitivedrone.errors import GazeboError
 from cognitivedrone.frames import wrap_angle, yaw_of
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.types import DroneState, FloatArray, Stage
-from cognitivedrone.vehicles.gazebo.bindings import Bindings, installed_releases, load_bindings
-from cognitivedrone.vehicles.gazebo.release import RELEASES
+from cognitivedrone.vehicles.gazebo.bindings import RELEASES, Bindings, installed_releases, load_bindings
 from cognitivedrone.vehicles.gazebo.sensing import GazeboCamera, Topic, TruePath, places_of
 from cognitivedrone.vehicles.gazebo.worlds.export import write_meshes, write_pictures
 from cognitivedrone.vehicles.gazebo.worlds.sdf import SUN, WORLD, Prop, document, prop_model, sun
@@ -65,7 +64,7 @@ class LiveConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class StagePlan:
     """The changes from one set of props to another."""
 
     moves: tuple[tuple[str, Prop], ...]
@@ -75,7 +74,7 @@ class Plan:
     """Entities to remove."""
 
 
-def plan(standing: Mapping[str, Prop | None], wanted: Sequence[Prop]) -> Plan:
+def plan(standing: Mapping[str, Prop | None], wanted: Sequence[Prop]) -> StagePlan:
     """The changes after which only `wanted` is in the world: equal props are moved, the rest replaced.
 
     `standing` maps current entities to their props; none for unknown props.
@@ -90,7 +89,7 @@ def plan(standing: Mapping[str, Prop | None], wanted: Sequence[Prop]) -> Plan:
         else:
             moves.append((same, prop))
             del left[same]
-    return Plan(tuple(moves), tuple(spawns), tuple(left))
+    return StagePlan(tuple(moves), tuple(spawns), tuple(left))
 
 
 def differences(places: Mapping[str, tuple[FloatArray, FloatArray]], wanted: Mapping[str, Prop | None]) -> str:

@@ -22,7 +22,7 @@ _CUSTOM_MODE_ENABLED = 1
 
 
 @dataclass(frozen=True, slots=True)
-class Autopilot:
+class AutopilotKind:
     """What is particular to one autopilot."""
 
     name: str
@@ -87,7 +87,7 @@ def _px4(main: int, sub: int = 0) -> int:
 
 ARDUPILOT_NUMBER, PX4_NUMBER = 3, 12
 """MAV_AUTOPILOT_ARDUPILOTMEGA, MAV_AUTOPILOT_PX4."""
-ARDUPILOT: Final = Autopilot(
+ARDUPILOT: Final = AutopilotKind(
     name="ArduCopter",
     number=ARDUPILOT_NUMBER,
     modes={
@@ -107,7 +107,7 @@ ARDUPILOT: Final = Autopilot(
     },
 )  # fmt: skip
 """Modes by its parameter FLTMODE1."""
-PX4: Final = Autopilot(
+PX4: Final = AutopilotKind(
     name="PX4",
     number=PX4_NUMBER,
     modes={

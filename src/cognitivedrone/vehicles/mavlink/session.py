@@ -19,7 +19,7 @@ from cognitivedrone.vehicles.gazebo.bindings import load_bindings
 from cognitivedrone.vehicles.gazebo.sensing import GazeboCamera
 from cognitivedrone.vehicles.gazebo.worlds.vehicle import CAMERA_TOPIC
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
-from cognitivedrone.vehicles.mavlink.guard.drone import GuardedDrone
+from cognitivedrone.vehicles.mavlink.guard.drone import SupervisedDrone
 
 FLAG = "--i-understand-this-flies-a-real-drone"
 TLOG_FILE = "flight.tlog"
@@ -54,7 +54,7 @@ class MavlinkVehicle:
 
     def __init__(
         self,
-        drone: GuardedDrone,
+        drone: SupervisedDrone,
         camera: TimestampedCamera,
         *,
         simulated: bool,
@@ -120,7 +120,7 @@ def open_mavlink(request: Request) -> MavlinkVehicle:
         raise LinkError(f"{spec.link} may be a real drone: read docs/real-drone.md, then add {FLAG}")
     changing = ChangingCamera(open_source(safety.camera))
     camera = TimestampedCamera(changing)
-    drone = GuardedDrone(spec.url, camera, safety_rules(safety), mavlink_config(safety, request.folder))
+    drone = SupervisedDrone(spec.url, camera, safety_rules(safety), mavlink_config(safety, request.folder))
     simulated = spec.on_loopback and drone.simulated
     if not simulated and (not consent or safety.clock == "vehicle"):
         drone.close()

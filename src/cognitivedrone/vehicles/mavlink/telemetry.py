@@ -15,7 +15,7 @@ from cognitivedrone.errors import import_extra
 from cognitivedrone.frames import enu_to_ned, flu_to_frd, world_to_heading
 from cognitivedrone.text.printable import visible
 from cognitivedrone.types import FloatArray
-from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, Autopilot
+from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AutopilotKind
 
 COPTER_TYPES = frozenset({2, 3, 4, 13, 14, 15, 29})
 """MAV_TYPE: quadrotor, coaxial, helicopter, hexarotor, octorotor, tricopter, dodecarotor."""
@@ -188,7 +188,7 @@ class Telemetry:
         )
 
 
-def updated(before: Telemetry, message: Any, now: float, autopilot: Autopilot = ARDUPILOT) -> Telemetry:
+def updated(before: Telemetry, message: Any, now: float, autopilot: AutopilotKind = ARDUPILOT) -> Telemetry:
     """The telemetry after one more message of the vehicle; one without useful content only proves the link."""
     t = replace(before, received_at=now)
     match message.get_type():

@@ -17,7 +17,7 @@ from cognitivedrone.errors import LinkError, RunError
 from cognitivedrone.frames import rotate_yaw, yaw_of
 from cognitivedrone.sim.airframe import IRIS, Airframe
 from cognitivedrone.sim.drone_world import Start
-from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.sim.dynamics import BatchedFlight
 from cognitivedrone.types import CONTROL_HZ, FloatArray
 from cognitivedrone.vehicles.external import ExternalFlight, LinkReport, placed
 from cognitivedrone.vehicles.sitl.physics import Plant
@@ -35,7 +35,7 @@ STARTS: Final = 3
 """Attempts to have a vehicle hover at the start of a flight."""
 
 
-class Vehicle(Protocol):
+class LockstepVehicle(Protocol):
     """What is flown: `SitlVehicle`."""
 
     plant: Plant
@@ -74,11 +74,13 @@ class SitlFlight(ExternalFlight):
     After a vehicle that crashed, landed by itself or fell silent the next flight begins with another one.
     """
 
-    def __init__(self, binary: Path, airframe: Airframe = IRIS, *, start: Callable[[], Vehicle] | None = None) -> None:
+    def __init__(
+        self, binary: Path, airframe: Airframe = IRIS, *, start: Callable[[], LockstepVehicle] | None = None
+    ) -> None:
         super().__init__()
         self.airframe = airframe
-        self._start: Callable[[], Vehicle] = start or (lambda: SitlVehicle(binary, airframe))
-        self._vehicle: Vehicle | None = None
+        self._start: Callable[[], LockstepVehicle] = start or (lambda: SitlVehicle(binary, airframe))
+        self._vehicle: LockstepVehicle | None = None
         self._ended = LinkReport()
         self._began = 0.0
         self._ticks = 0
@@ -98,14 +100,14 @@ class SitlFlight(ExternalFlight):
         raise RunError(f"ArduCopter did not come to hover in {STARTS} attempts; the last one: {self.trouble}")
 
     def advance(self, ticks: int) -> FloatArray:
-        """Fly on by ticks of `Flight.TICK_S`; true positions (samples, 3) after each fourth and after the last."""
+        """Fly on by ticks of `TICK_S`; true positions (samples, 3) after each fourth and after the last."""
         path: list[FloatArray] = []
         begin, self._ticks = self._ticks, self._ticks + ticks
-        first = begin - begin % Flight.SAMPLE_TICKS + Flight.SAMPLE_TICKS
+        first = begin - begin % BatchedFlight.SAMPLE_TICKS + BatchedFlight.SAMPLE_TICKS
         try:
-            for stop in (*range(first, self._ticks, Flight.SAMPLE_TICKS), self._ticks):
+            for stop in (*range(first, self._ticks, BatchedFlight.SAMPLE_TICKS), self._ticks):
                 if self._vehicle is not None and stop > begin:
-                    self._vehicle.go_on(self._began + stop * Flight.TICK_S)
+                    self._vehicle.go_on(self._began + stop * BatchedFlight.TICK_S)
                     self._state = self._placement.apply(self._vehicle.plant.state())
                     path.append(self._state.position)
             if self._vehicle is not None:
@@ -129,7 +131,7 @@ class SitlFlight(ExternalFlight):
             self._vehicle = None
             vehicle.close()
 
-    def _hover(self, vehicle: Vehicle, position: FloatArray, yaw: float, wind: FloatArray) -> None:
+    def _hover(self, vehicle: LockstepVehicle, position: FloatArray, yaw: float, wind: FloatArray) -> None:
         """Come to a hover at the height of the start, and put it there."""
         vehicle.plant.wind = self._wind_over_ground(vehicle, yaw, wind)
         still, deadline = 0, vehicle.plant.time + HOVER_S
@@ -149,7 +151,7 @@ class SitlFlight(ExternalFlight):
         self._state = self._placement.apply(vehicle.plant.state())
         self._began, self._ticks = vehicle.plant.time, 0
 
-    def _wind_over_ground(self, vehicle: Vehicle, yaw: float, wind: FloatArray) -> tuple[float, float, float]:
+    def _wind_over_ground(self, vehicle: LockstepVehicle, yaw: float, wind: FloatArray) -> tuple[float, float, float]:
         """The benchmark's wind (3,) over the vehicle's own ground, where its heading is `yaw` in the benchmark."""
         turn = yaw - float(yaw_of(vehicle.plant.state().quaternion))
         x, y, z = (float(v) for v in rotate_yaw(wind, -turn))

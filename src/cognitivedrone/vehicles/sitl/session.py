@@ -19,13 +19,13 @@ from cognitivedrone.sim.airframe import Airframe
 from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.sim.drawing.gl import renderer_name
 from cognitivedrone.sim.drone_world import Scenery, Start
-from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.sim.dynamics import BatchedFlight
 from cognitivedrone.types import Action, DroneState, FloatArray, Image, Observation, Stage, Track
 from cognitivedrone.vehicles import autopilot_file
 from cognitivedrone.vehicles.camera import Shot
 from cognitivedrone.vehicles.contract import ClockedDrone, Confirm, Request, Status, Vehicle
 from cognitivedrone.vehicles.external import ExternalFlight, ExternalWorld, LinkReport
-from cognitivedrone.vehicles.mavlink.guard.drone import GuardedDrone
+from cognitivedrone.vehicles.mavlink.guard.drone import SupervisedDrone
 from cognitivedrone.vehicles.mavlink.session import MavlinkVehicle, TimestampedCamera, mavlink_config, safety_rules
 from cognitivedrone.vehicles.simulated import SimulatedFlight
 from cognitivedrone.vehicles.sitl.arducopter import ArduCopter
@@ -158,7 +158,7 @@ class GuardedSitl:
             ready_timeout_s=READY_S,
         )
         camera = TimestampedCamera(source)
-        drone = autopilot.connect(lambda url: GuardedDrone(url, camera, safety_rules(safety), config))
+        drone = autopilot.connect(lambda url: SupervisedDrone(url, camera, safety_rules(safety), config))
         self._vehicle = MavlinkVehicle(drone, camera, simulated=True)
         self._drone = _JudgedDrone(self._vehicle.take_off(self._confirm), self._flight, self.track_runner)
 
@@ -183,7 +183,7 @@ class RecordedPlant(Plant):
         """As the plant; a hundred positions a second are recorded."""
         sensed = super().step(pwm, period)
         if self.time >= self._next_s:
-            self._next_s = self.time + Flight.SAMPLE_TICKS * Flight.TICK_S
+            self._next_s = self.time + BatchedFlight.SAMPLE_TICKS * BatchedFlight.TICK_S
             with self._lock:
                 self._path.append(self.state().position)
         return sensed
@@ -242,12 +242,12 @@ class _ObservedFlight(ExternalFlight):
         self._judged_s = self._plant.flown_from_s = self._plant.time
 
     def elapsed_ticks(self) -> int:
-        """Ticks of `Flight.TICK_S` that have passed since `advance`."""
-        return 0 if self._plant is None else int((self._plant.time - self._judged_s) / Flight.TICK_S)
+        """Ticks of `BatchedFlight.TICK_S` that have passed since `advance`."""
+        return 0 if self._plant is None else int((self._plant.time - self._judged_s) / BatchedFlight.TICK_S)
 
     def advance(self, ticks: int) -> FloatArray:
         """Where it was since the last call, (samples, 3), world, m."""
-        self._judged_s += ticks * Flight.TICK_S
+        self._judged_s += ticks * BatchedFlight.TICK_S
         return np.empty((0, 3)) if self._plant is None else self._plant.taken()
 
     def state(self) -> DroneState:

@@ -12,14 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
-from cognitivedrone.control.safety import Decision, Order
-from cognitivedrone.control.safety.health import Health
 from cognitivedrone.errors import LinkError, RunError
 from cognitivedrone.files.temporary import TemporaryFolder
 from cognitivedrone.sim.airframe import IRIS, Airframe
-from cognitivedrone.types import Action, FloatArray
+from cognitivedrone.types import FloatArray
 from cognitivedrone.vehicles.camera import Shot
-from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
+from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone, PassThroughGuard
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.sitl.arducopter import ArduCopter, port_is_free
 from cognitivedrone.vehicles.sitl.json_interface import SitlServer, serving
@@ -39,36 +37,6 @@ PATIENCE_S = 20.0
 LAG_S = 0.4
 """So far the listener may lag behind the vehicle: its heartbeat, once a second of the vehicle's time, is never late."""
 _HALF_STEP_S = 0.0004  # half of a step at 1200 Hz: a time is reached by the step that ends nearest to it
-
-
-class PassThroughGuard:
-    """Lets every command pass while the vehicle is ours and armed: where a gate monitor judges, no rule holds it back.
-
-    Wall-clock times mean nothing here: the vehicle's time stands still while a policy computes.
-    """
-
-    def __init__(self) -> None:
-        self._over = ""
-
-    def judge(self, health: Health) -> Decision:
-        """Fly, or hands off for good: where it stopped its motors or chose a mode by itself, and at the end."""
-        if not self._over and not health.armed:
-            self._over = "the motors were stopped"
-        if not self._over and health.mode not in health.ordered_modes:
-            self._over = f"the mode became {health.mode}"
-        return Decision("hands_off", self._over) if self._over else Decision("fly", "")
-
-    def shape(self, health: Health) -> Action:
-        """The command as it is."""
-        return np.zeros(4, dtype=np.float32) if health.command is None else health.command.astype(np.float32)
-
-    def order(self, decision: Decision, health: Health, landing: str) -> Order:  # noqa: ARG002
-        """Nothing: it only ever flies, or is let go."""
-        return Order()
-
-    def land(self, reason: str) -> None:
-        """It is not landed: its process ends in the air."""
-        self._over = self._over or reason
 
 
 class SitlVehicle:
@@ -170,7 +138,7 @@ def connected(url: str) -> MavlinkDrone:
         ready_timeout_s=900.0,
         takeoff_timeout_s=600.0,
     )
-    return MavlinkDrone(url, _NoCamera(), PassThroughGuard(), config)
+    return MavlinkDrone(url, _NoCamera(), PassThroughGuard(lands=False), config)
 
 
 def open_server(plant: Plant) -> tuple[SitlServer, int]:

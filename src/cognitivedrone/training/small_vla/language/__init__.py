@@ -27,9 +27,8 @@ from cognitivedrone.training.language.problems import ALONE, NAMES, Mix, Problem
 from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.training.perception.calibration import calibration_crops, temperature_of
 from cognitivedrone.training.perception.readings import Readings, readings_of
-from cognitivedrone.training.small_vla.language.described import TextMix, described
-from cognitivedrone.training.small_vla.language.language_network import LanguageLoss, LanguageNetwork
-from cognitivedrone.training.trainer.start import Start, read_start, restore_part
+from cognitivedrone.training.small_vla.language.described import LanguageLoss, LanguageNetwork, TextMix, described
+from cognitivedrone.training.trainer.start import StartingPoint, read_start, restore_part
 from cognitivedrone.training.trainer.training_task import Batch, Batches, Given, Learner, Recipe, Row, to_tensors
 from cognitivedrone.types import COLORS, SHAPES, SIZES
 
@@ -94,9 +93,9 @@ class LanguageTraining:
     """Training task of text encoder and language."""
 
     recipe: LanguageRecipe
-    selector: Start
+    selector: StartingPoint
     """The gate selector whose encoder it begins with."""
-    reader: Start
+    reader: StartingPoint
 
     def identity(self) -> dict[str, Any]:
         """Recipe, with the sizes of all networks, and the starts."""

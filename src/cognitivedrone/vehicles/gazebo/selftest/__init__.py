@@ -23,12 +23,11 @@ from cognitivedrone.errors import CognitiveDroneError, GazeboError, LinkError
 from cognitivedrone.files import replace_file
 from cognitivedrone.labels import load_pack
 from cognitivedrone.tasks import open_suite
-from cognitivedrone.vehicles.gazebo.bindings import Bindings, load_bindings, simulator_versions
+from cognitivedrone.vehicles.gazebo.bindings import RELEASES, Bindings, load_bindings, simulator_versions
 from cognitivedrone.vehicles.gazebo.live import GazeboWorld
-from cognitivedrone.vehicles.gazebo.release import RELEASES
 from cognitivedrone.vehicles.gazebo.selftest.checks import (
     Finding,
-    Scene,
+    GazeboScene,
     camera_rate,
     clock,
     leftovers,
@@ -38,7 +37,7 @@ from cognitivedrone.vehicles.gazebo.selftest.checks import (
     places,
     stages,
 )
-from cognitivedrone.vehicles.gazebo.selftest.checks_in_flight import FLIGHT_CHECKS, Airborne, Autopilot
+from cognitivedrone.vehicles.gazebo.selftest.checks_in_flight import FLIGHT_CHECKS, Airborne, RunningAutopilot
 from cognitivedrone.vehicles.gazebo.server import NO_PLUGIN, GazeboServer, find_gazebo, own_partition
 from cognitivedrone.vehicles.gazebo.worlds.export import PARAMETERS_FILE, find_track, stages_of, write
 from cognitivedrone.vehicles.sitl.arducopter import BINARY_VARIABLE, ArduCopter, find_binary, port_is_free
@@ -47,7 +46,7 @@ Outcome = Literal["passed", "failed", "skipped"]
 
 RESULTS_FILE: Final = "selftest.json"
 _SUITE: Final = "open-v1:track"
-CHECKS: Final[tuple[tuple[str, Callable[[Scene], Finding]], ...]] = (
+CHECKS: Final[tuple[tuple[str, Callable[[GazeboScene], Finding]], ...]] = (
     ("places", places),
     ("clock", clock),
     ("camera", camera_rate),
@@ -109,7 +108,7 @@ def selftest(
     arducopter: Path | None = None,
     report_check: Callable[[Check], None] = lambda _: None,
     bindings: Bindings | None = None,
-    autopilot: Callable[[Path], Autopilot] | None = None,
+    autopilot: Callable[[Path], RunningAutopilot] | None = None,
 ) -> Report:
     """Run all checks; writes `selftest.json`, pictures, logs and the exported world into the new folder `out`.
 
@@ -122,7 +121,7 @@ def selftest(
     start, lacking = (autopilot, "") if autopilot else _autopilot(arducopter)
     found = find_track(open_suite(_SUITE), track="0")
     exported = write(found, out / "world", load_pack(), RELEASES[bindings.release.name])
-    scene = Scene(out, exported.worlds, stages_of(found), load_pack())
+    scene = GazeboScene(out, exported.worlds, stages_of(found), load_pack())
     report = Report(report_check)
     with ExitStack() as stack:
         stack.callback(lambda: _save(report, out, bindings))
@@ -152,7 +151,7 @@ def selftest(
     return report
 
 
-def _fly(scene: Scene, start: Callable[[Path], Autopilot], report: Report) -> None:
+def _fly(scene: GazeboScene, start: Callable[[Path], RunningAutopilot], report: Report) -> None:
     """The checks in flight, in order; once the vehicle is lost, the rest is skipped."""
     folder = scene.out / "arducopter"
     folder.mkdir()
@@ -164,7 +163,7 @@ def _fly(scene: Scene, start: Callable[[Path], Autopilot], report: Report) -> No
                 report.run(name, lambda check=check: check(flight))  # type: ignore[misc]
 
 
-def _autopilot(named: Path | None) -> tuple[Callable[[Path], Autopilot] | None, str]:
+def _autopilot(named: Path | None) -> tuple[Callable[[Path], RunningAutopilot] | None, str]:
     """What starts ArduCopter in a folder; none without one, with the reason."""
     if named is None and not os.environ.get(BINARY_VARIABLE):
         return None, f"no ArduCopter: {_WAY_OUT}"
@@ -175,7 +174,7 @@ def _autopilot(named: Path | None) -> tuple[Callable[[Path], Autopilot] | None, 
     if not tree.is_file():
         raise LinkError(f"there is no {tree}: leave ArduCopter in the tree that it was built in (build/sitl/bin)")
 
-    def start(folder: Path) -> Autopilot:
+    def start(folder: Path) -> RunningAutopilot:
         parameters = (folder.parent / "world" / PARAMETERS_FILE).read_text(encoding="utf-8")
         return ArduCopter(binary, folder, defaults=[tree], airframe=None, parameters=parameters)
 

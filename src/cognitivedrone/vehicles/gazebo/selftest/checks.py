@@ -29,7 +29,7 @@ from cognitivedrone.vehicles.gazebo.live import PLACE_M, PLACE_RAD, GazeboWorld
 from cognitivedrone.vehicles.gazebo.selftest.comparison import Likeness, compare
 from cognitivedrone.vehicles.gazebo.sensing import Topic, picture, stamp_of
 from cognitivedrone.vehicles.gazebo.server import NO_PLUGIN, GazeboServer
-from cognitivedrone.vehicles.gazebo.worlds.check import check, find_checker
+from cognitivedrone.vehicles.gazebo.worlds.export import check, find_checker
 from cognitivedrone.vehicles.gazebo.worlds.vehicle import CAMERA_HZ, NAME, camera_stand
 from cognitivedrone.world.appearance import PLAIN
 
@@ -74,7 +74,7 @@ class Finding:
     """Why nothing could be measured."""
 
 
-class Scene:
+class GazeboScene:
     """What the checks are about: exported worlds, their stages and pictures, and Gazebo once it runs."""
 
     world: GazeboWorld
@@ -109,14 +109,14 @@ class Scene:
             self._cameras.close()
 
 
-def parsing(scene: Scene) -> Finding:
+def parsing(scene: GazeboScene) -> Finding:
     """Every exported world passes libsdformat."""
     if find_checker() is None:
         return Finding("", skipped="libsdformat is not on this machine")
     return Finding(f"{len(scene.files)} worlds pass {check(scene.files)}", values={"worlds": len(scene.files)})
 
 
-def loading(scene: Scene) -> Finding:
+def loading(scene: GazeboScene) -> Finding:
     """The world loads without a warning or an error; a missing ArduPilot plugin is reported by the checks in flight."""
     path = scene.world.path()
     try:
@@ -129,7 +129,7 @@ def loading(scene: Scene) -> Finding:
     return Finding("loaded, and time passes", _problem(complaints), {"complaints": len(complaints)})
 
 
-def leftovers(scene: Scene) -> Finding:
+def leftovers(scene: GazeboScene) -> Finding:
     """Gazebo printed no warning or error since it loaded the world, but what a slow ArduPilot makes its plugin say."""
     later = scene.server.complaints()[scene.complaints_before :]
     complaints = [line for line in later if not _EXPECTED.search(line)]
@@ -138,7 +138,7 @@ def leftovers(scene: Scene) -> Finding:
     return Finding(figure, _problem(complaints), {"complaints": len(complaints), "frames_lost_or_repeated": slow})
 
 
-def places(scene: Scene) -> Finding:
+def places(scene: GazeboScene) -> Finding:
     """Everything is where the file says, and the vehicle rests on the ground."""
     wanted = poses_of(scene.files[0])
     found = scene.world.places()
@@ -158,7 +158,7 @@ def places(scene: Scene) -> Finding:
     return Finding(figure, f"not in place: {', '.join(bad)}" if bad else "", values)
 
 
-def clock(scene: Scene) -> Finding:
+def clock(scene: GazeboScene) -> Finding:
     """True poses come often enough, none twice; reports how fast time passes."""
     path = scene.world.path()
     try:
@@ -175,7 +175,7 @@ def clock(scene: Scene) -> Finding:
     return Finding(figure, problem, {"hz": rate, "real_time_factor": factor, "stamps_not_increasing": again})
 
 
-def camera_rate(scene: Scene) -> Finding:
+def camera_rate(scene: GazeboScene) -> Finding:
     """The vehicle's camera sends frames at its rate."""
     stamps: list[float] = []
 
@@ -199,12 +199,12 @@ def camera_rate(scene: Scene) -> Finding:
     return Finding(figure, problem, {"hz": rate, "stamps_not_increasing": again})
 
 
-def pictures(scene: Scene) -> Finding:
+def pictures(scene: GazeboScene) -> Finding:
     """The first stage looks as in our renderer, from two poses."""
     return _seen(scene, [_look(scene, where) for where in POSES])
 
 
-def stages(scene: Scene) -> Finding:
+def stages(scene: GazeboScene) -> Finding:
     """Every further stage replaces the one before in time, alone, and looks as in our renderer."""
     path = scene.world.path()
     took: list[float] = []
@@ -236,7 +236,7 @@ def poses_of(world: Path) -> dict[str, tuple[FloatArray, float]]:
     return poses
 
 
-def _look(scene: Scene, where: str) -> Likeness:
+def _look(scene: GazeboScene, where: str) -> Likeness:
     """Compare Gazebo's picture from one of `POSES` with ours, and save both."""
     stage, world = scene.stages[scene.shown], scene.world
     x, y, z, yaw = POSES[where]
@@ -277,7 +277,7 @@ def _photograph(world: GazeboWorld, state: DroneState) -> Image:
         topic.close()
 
 
-def _seen(scene: Scene, likenesses: Sequence[Likeness]) -> Finding:
+def _seen(scene: GazeboScene, likenesses: Sequence[Likeness]) -> Finding:
     """The worst of some comparisons."""
     worst = max(each.difference for each in likenesses)
     gates = min(value for each in likenesses for value in each.gates)

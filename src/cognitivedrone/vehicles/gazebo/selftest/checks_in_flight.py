@@ -17,9 +17,8 @@ from cognitivedrone.errors import LinkError
 from cognitivedrone.frames import wrap_angle, yaw_of
 from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, Start
 from cognitivedrone.types import CONTROL_HZ, DroneState, FloatArray
-from cognitivedrone.vehicles.gazebo.flight import GazeboFlight
-from cognitivedrone.vehicles.gazebo.pilot import take_off
-from cognitivedrone.vehicles.gazebo.selftest.checks import Finding, Scene
+from cognitivedrone.vehicles.gazebo.flight import GazeboFlight, take_off
+from cognitivedrone.vehicles.gazebo.selftest.checks import Finding, GazeboScene
 from cognitivedrone.vehicles.gazebo.worlds.vehicle import ground_clearance
 from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 
@@ -44,7 +43,7 @@ STOPPED_PASSES_S: Final = 0.1
 LANDED_M: Final = 0.05
 
 
-class Autopilot(AbstractContextManager["Autopilot"], Protocol):
+class RunningAutopilot(AbstractContextManager["RunningAutopilot"], Protocol):
     """A running autopilot."""
 
     def connect(self, make: Callable[[str], T]) -> T:
@@ -63,7 +62,7 @@ class Autopilot(AbstractContextManager["Autopilot"], Protocol):
 class Airborne:
     """The vehicle of a running world, with its autopilot. Use it as a context manager: it lands at the end."""
 
-    def __init__(self, scene: Scene, autopilot: Autopilot) -> None:
+    def __init__(self, scene: GazeboScene, autopilot: RunningAutopilot) -> None:
         self.autopilot = autopilot
         self.drone: MavlinkDrone | None = None
         self._scene = scene

@@ -1,16 +1,17 @@
-"""Exports a task or track as a folder for Gazebo: worlds, meshes, textures, ArduPilot's parameters and a README.
-
-    export("open-v1:test", task="open-v1:test/0007", out=Path("gazebo/0007"))
-
-`world_of` makes every world from a `Stage`. The stages of a track are placed along a flight through the right gates;
-each is a separate world, and the live link turns one into the next.
+"""Exports a task or track as a folder for Gazebo: worlds, meshes, textures, ArduPilot's parameters and a README; and
+checks SDF files with libsdformat, Gazebo's own parser.
 """
 
 from __future__ import annotations
 
+import ctypes.util
 import functools
 import hashlib
+import os
 import re
+import shutil
+import subprocess
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
@@ -25,14 +26,25 @@ from cognitivedrone.envs.track_runner import next_place, stage_of
 from cognitivedrone.errors import GazeboError, TaskError, did_you_mean
 from cognitivedrone.files import replace_file
 from cognitivedrone.files.locks import holds_files, sole_writer
+from cognitivedrone.files.temporary import TemporaryFolder
 from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.labels import load_pack
 from cognitivedrone.tasks import Suite, open_suite
 from cognitivedrone.types import Image, Stage, Task, Track
-from cognitivedrone.vehicles.gazebo.release import Release, release_named
-from cognitivedrone.vehicles.gazebo.worlds.meshes import MATERIALS, MATERIALS_FILE, obj_text, world_meshes
-from cognitivedrone.vehicles.gazebo.worlds.sdf import Picture, Prop, document, pattern_file, props_of, world
+from cognitivedrone.vehicles.gazebo.bindings import Release, release_named
+from cognitivedrone.vehicles.gazebo.worlds.sdf import (
+    MATERIALS,
+    MATERIALS_FILE,
+    PanelPicture,
+    Prop,
+    document,
+    obj_text,
+    pattern_file,
+    props_of,
+    world,
+    world_meshes,
+)
 from cognitivedrone.vehicles.gazebo.worlds.vehicle import iris, parameters
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import PATTERNS, PLAIN, Appearance, pattern_texture
@@ -155,14 +167,14 @@ def write_pictures(stage: Stage, labels: LabelPack, appearance: Appearance, out:
     return props_of(stage, pictures, board, appearance)
 
 
-def _write_label(reference: str, image: Image, folder: Path) -> Picture:
+def _write_label(reference: str, image: Image, folder: Path) -> PanelPicture:
     """Write a label as PNG, with a descriptive name that is unique to its pixels."""
     name = re.sub(r"[^a-z0-9]+", "_", reference.lower()).strip("_")[:40]
     digest = hashlib.sha256(repr(image.shape).encode() + image.tobytes()).hexdigest()[:8]
     file = f"{name}_{digest}.png"
     if not (folder / file).exists():
         Pictures.fromarray(image).save(folder / file)
-    return Picture(file, image.shape[1] / image.shape[0])
+    return PanelPicture(file, image.shape[1] / image.shape[0])
 
 
 @functools.cache
@@ -186,3 +198,81 @@ def _readme(track: Track, names: Sequence[str], release: Release) -> str:
 
 def _cell(task: Task) -> str:
     return task.instruction.replace("|", "\\|").replace("\n", " ")
+
+
+COMMANDS = ("gz", "ign")
+LIBRARIES = tuple(f"sdformat{major}" for major in range(16, 11, -1))
+"""Library versions, from Jetty's to Debian 12's. Each exports `cmdCheck`, which the command line calls."""
+PACKAGE = "libsdformat12-12"
+_CALL = "import ctypes, sys; sys.exit(ctypes.CDLL(sys.argv[1]).cmdCheck(sys.argv[2].encode()) != 0)"
+_UNKNOWN = "not defined in SDF"
+_LIMIT_S = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Checker:
+    """A way to run libsdformat."""
+
+    name: str
+    command: tuple[str, ...]
+    """Command line, without the file, which is the last argument."""
+
+
+def find_checker() -> Checker | None:
+    """The first checker available on this machine; none if there is none."""
+    for library in LIBRARIES:
+        found = ctypes.util.find_library(library)
+        if found is not None:
+            return Checker(found, (sys.executable, "-I", "-S", "-c", _CALL, found))
+    for name in COMMANDS:
+        found = shutil.which(name)
+        if found is not None and _ran((found, "sdf", "--versions"), Path(os.devnull)).returncode == 0:
+            return Checker(f"{name} sdf", (found, "sdf", "--check"))
+    return None
+
+
+def check(files: Sequence[Path]) -> str:
+    """Check every file; returns the name of the checker.
+
+    Raises `GazeboError` with the problem of the first file that does not pass, or if there is no checker.
+    """
+    checker = find_checker()
+    if checker is None:
+        raise GazeboError(f"libsdformat is not on this machine; install Gazebo, or: apt-get install {PACKAGE}")
+    for file in files:
+        if not file.is_file():
+            raise GazeboError(f"there is no SDF file {file}; make one with: cognitivedrone gazebo export")
+        problem = _problem(checker, file)
+        if problem:
+            raise GazeboError(f"{file} does not pass {checker.name}: {problem}")
+    return checker.name
+
+
+def _problem(checker: Checker, file: Path) -> str:
+    """The parser's complaint about a file; empty if it passes.
+
+    The parser skips unknown elements and mentions them only in the log that it writes into the home folder; here they
+    are errors, too.
+    """
+    with TemporaryFolder("home") as home:
+        done = _ran((*checker.command, str(file)), home)
+        logs = [path.read_text(encoding="utf-8", errors="replace") for path in home.rglob("*.log")]
+    output = done.stderr.strip()
+    if done.returncode and not output:
+        output = done.stdout.strip() or f"exit code {done.returncode}"
+    unknown = [line for log in logs for line in log.splitlines() if _UNKNOWN in line]
+    return " ".join((output or "\n".join(dict.fromkeys(unknown))).split())
+
+
+def _ran(command: Sequence[str], home: Path) -> subprocess.CompletedProcess[str]:
+    try:
+        return subprocess.run(  # noqa: S603 - a fixed command, with the file as a single argument
+            command,
+            check=False,
+            capture_output=True,
+            text=True,
+            timeout=_LIMIT_S,
+            env={**os.environ, "HOME": str(home)},
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise GazeboError(f"cannot run {command[0]}: {error}; is libsdformat installed completely?") from None

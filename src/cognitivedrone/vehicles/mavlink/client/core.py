@@ -20,21 +20,35 @@ from typing import Literal
 
 import numpy as np
 
+from cognitivedrone.control.safety import Decision
 from cognitivedrone.control.safety.health import Health
 from cognitivedrone.errors import LinkError
 from cognitivedrone.types import Action, FloatArray
 from cognitivedrone.vehicles.checklist import Checklist
 from cognitivedrone.vehicles.mavlink.client.checks.inspection import inspect
 from cognitivedrone.vehicles.mavlink.client.checks.parameters import ParameterChanges, journal_of
-from cognitivedrone.vehicles.mavlink.client.guard import Decision, Guard
-from cognitivedrone.vehicles.mavlink.client.handover import must_beat
-from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig, Met, meet
-from cognitivedrone.vehicles.mavlink.client.health import OWN_TARGETS_S, Asked, Baseline, grounded, health_of
-from cognitivedrone.vehicles.mavlink.client.link.connection import Connection
+from cognitivedrone.vehicles.mavlink.client.handshake import (
+    SETPOINT_S,
+    STREAM_FIRST_S,
+    MavlinkConfig,
+    Met,
+    climb,
+    fields_of,
+    meet,
+    must_beat,
+)
+from cognitivedrone.vehicles.mavlink.client.health import (
+    OWN_TARGETS_S,
+    Asked,
+    Baseline,
+    FlightGuard,
+    grounded,
+    health_of,
+)
+from cognitivedrone.vehicles.mavlink.client.link.connection import MavlinkConnection
 from cognitivedrone.vehicles.mavlink.client.link.heartbeats import Flown
 from cognitivedrone.vehicles.mavlink.client.link.traffic import impostor_of
 from cognitivedrone.vehicles.mavlink.client.link.transport import open_transport
-from cognitivedrone.vehicles.mavlink.client.setpoints import SETPOINT_S, STREAM_FIRST_S, climb, fields_of
 from cognitivedrone.vehicles.mavlink.telemetry import LANDING_SILENT_S, Telemetry, last_words, unlanded
 
 SET_MODE, ARM, TAKE_OFF = 176, 400, 22
@@ -60,7 +74,7 @@ class FlightCore:
     def __init__(
         self,
         url: str,
-        guard: Guard,
+        guard: FlightGuard,
         config: MavlinkConfig,
         *,
         log: Callable[[bytes], None] = lambda _: None,
@@ -98,7 +112,7 @@ class FlightCore:
         with ExitStack() as undo:
             transport = open_transport(url)
             undo.callback(transport.close)
-            self.link = Connection(
+            self.link = MavlinkConnection(
                 transport, system=config.system, log=log, watch=self.watch, flown=self._flown, threaded=threaded
             )
             undo.pop_all()

@@ -5,7 +5,7 @@
         fly(drone, policy, drone, mission)
 
 Leaving the block, by its end, by an error or by ctrl-C, lands a drone that is still ours. A policy that holds the
-interpreter stops the rules of safety with it: `fly` flies by `GuardedDrone` (`vehicles/mavlink/guard`), which is the
+interpreter stops the rules of safety with it: `fly` flies by `SupervisedDrone` (`vehicles/mavlink/guard`), which is the
 same with the rules in a process of their own.
 """
 
@@ -15,14 +15,18 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from time import sleep
 
+import numpy as np
+
+from cognitivedrone.control.safety import Decision, Order, SafetyConfig, order
+from cognitivedrone.control.safety.health import Health
 from cognitivedrone.errors import LinkError
 from cognitivedrone.types import Action, Observation
 from cognitivedrone.vehicles.camera import Camera
 from cognitivedrone.vehicles.checklist import Checklist
 from cognitivedrone.vehicles.mavlink.client.core import PAUSE_S, FlightCore, LandingMode
-from cognitivedrone.vehicles.mavlink.client.guard import Decision, Guard
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
-from cognitivedrone.vehicles.mavlink.client.link.connection import Connection
+from cognitivedrone.vehicles.mavlink.client.health import FlightGuard
+from cognitivedrone.vehicles.mavlink.client.link.connection import MavlinkConnection
 from cognitivedrone.vehicles.mavlink.client.link.tlog import PacketLog, TlogWriter
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry
 
@@ -34,7 +38,7 @@ class MavlinkDrone:
     cannot be reached or flown, `MissingExtra` without pymavlink.
     """
 
-    def __init__(self, url: str, camera: Camera, guard: Guard, config: MavlinkConfig | None = None) -> None:
+    def __init__(self, url: str, camera: Camera, guard: FlightGuard, config: MavlinkConfig | None = None) -> None:
         self.config = config or MavlinkConfig()
         self.camera = camera
         with ExitStack() as undo:
@@ -56,7 +60,7 @@ class MavlinkDrone:
         self.close()
 
     @property
-    def link(self) -> Connection:
+    def link(self) -> MavlinkConnection:
         """The conversation with the vehicle."""
         return self._core.link
 
@@ -136,3 +140,40 @@ class MavlinkDrone:
         """Land a drone that is still ours, then hang up."""
         with self._undo:
             self.land()
+
+
+class PassThroughGuard:
+    """Passes every command while the vehicle is ours and armed: where a gate monitor judges, no rule holds it back.
+
+    Decides `hands_off`, permanently, if the motors stop or a mode appears that we did not order. One that never `lands`
+    is let go at the end: its process ends in the air. Wall-clock times mean nothing here, where the vehicle's time may
+    stand still.
+    """
+
+    def __init__(self, *, lands: bool = True) -> None:
+        self._lands, self._landing, self._over = lands, "", ""
+
+    def judge(self, health: Health) -> Decision:
+        """Fly, land, or hands off."""
+        if not self._over and not health.armed:
+            self._over = "the motors were stopped"
+        if not self._over and health.mode not in health.ordered_modes:
+            self._over = f"the mode became {health.mode}"
+        if self._over:
+            return Decision("hands_off", self._over)
+        return Decision("land", self._landing) if self._landing else Decision("fly", "")
+
+    def shape(self, health: Health) -> Action:
+        """The command, unchanged."""
+        return np.zeros(4, dtype=np.float32) if health.command is None else health.command.astype(np.float32)
+
+    def order(self, decision: Decision, health: Health, landing: str) -> Order:
+        """To land, as the rules do; nothing where it never lands."""
+        return order(decision, health, SafetyConfig(), landing) if self._lands else Order()
+
+    def land(self, reason: str) -> None:
+        """Land from now on, or let go."""
+        if self._lands:
+            self._landing = self._landing or reason
+        else:
+            self._over = self._over or reason

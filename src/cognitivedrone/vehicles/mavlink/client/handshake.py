@@ -1,16 +1,49 @@
-"""Meeting a vehicle: how it is talked to, whether it is one that can be flown, and what it is asked to report."""
+"""Meeting a vehicle and leaving it: how it is talked to, whether it can be flown, what it reports, and what we still do
+for it once it is not ours any more.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Final, Literal
+
+import numpy as np
 
 from cognitivedrone.errors import LinkError
-from cognitivedrone.vehicles.mavlink.client.checks.parameters import vehicle_key
+from cognitivedrone.frames import flu_to_frd
+from cognitivedrone.types import Action
+from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AutopilotKind
+from cognitivedrone.vehicles.mavlink.client.checks.parameters import ACTS_IN_FLIGHT, vehicle_key
 from cognitivedrone.vehicles.mavlink.client.checks.preflight import check_vehicle
-from cognitivedrone.vehicles.mavlink.client.link.connection import Connection, Vehicle
-from cognitivedrone.vehicles.mavlink.telemetry import SIMULATED
+from cognitivedrone.vehicles.mavlink.client.link.connection import MavlinkConnection, VehicleId
+from cognitivedrone.vehicles.mavlink.telemetry import SIMULATED, Telemetry
+
+BODY_NED, VELOCITY_AND_YAW_RATE = 8, 0x05C7
+"""MAV_FRAME_BODY_NED; the type mask that leaves velocity and yaw rate."""
+SETPOINT_S = 0.1
+"""How often a velocity is sent again."""
+STREAM_FIRST_S = 1.2
+"""PX4 takes up OFFBOARD, and arms in it, after a second of velocities
+(https://docs.px4.io/main/en/ros/offboard_control.html)."""
+CLIMB_M_S, SLOWEST_CLIMB_M_S = 1.0, 0.3
+"""Of a take-off by velocities."""
+
+
+def fields_of(action: Action) -> tuple[float, ...]:
+    """A command (4,) of the heading frame, m/s and rad/s, as SET_POSITION_TARGET_LOCAL_NED has it after its address."""
+    vx, vy, vz = map(float, flu_to_frd(action[:3]))
+    yaw_rate = float(flu_to_frd(np.array([0.0, 0.0, action[3]]))[2])
+    return BODY_NED, VELOCITY_AND_YAW_RATE, 0, 0, 0, vx, vy, vz, 0, 0, 0, 0, yaw_rate
+
+
+def climb(left_m: float) -> Action:
+    """The velocity (4,) of a take-off that is so far below its height: slower near it, none where that is unknown."""
+    up = min(CLIMB_M_S, max(SLOWEST_CLIMB_M_S, left_m)) if math.isfinite(left_m) else 0.0
+    return np.array([0.0, 0.0, up, 0.0], dtype=np.float32)
+
 
 SET_MESSAGE_INTERVAL = 511
 """Of MAV_CMD."""
@@ -56,7 +89,7 @@ class MavlinkConfig:
 class Met:
     """A vehicle that can be flown."""
 
-    vehicle: Vehicle
+    vehicle: VehicleId
     version: tuple[int, int] | None
     """Of its firmware; none where it is not reported."""
     simulated: bool
@@ -65,7 +98,7 @@ class Met:
     """A name for this vehicle that stays the same."""
 
 
-def meet(link: Connection, url: str, config: MavlinkConfig) -> Met:
+def meet(link: MavlinkConnection, url: str, config: MavlinkConfig) -> Met:
     """Wait for the vehicle, see that it can be flown, and ask for what must be known of it. Raises `LinkError`."""
     vehicle = link.wait(lambda: link.vehicle, config.heartbeat_timeout_s)
     if vehicle is None:
@@ -89,3 +122,25 @@ def meet(link: Connection, url: str, config: MavlinkConfig) -> Met:
     simulated = reply is not None and bytes(reply.flight_custom_version) == SIMULATED
     uid, uid2 = (reply.uid, reply.uid2) if reply is not None else (0, ())
     return Met(vehicle, version, simulated, vehicle_key(uid, uid2, vehicle.system, url))
+
+
+RESTORE_S = 3.0
+"""For the vehicle's parameters to be put back; what is not is left to the next start."""
+ENDS_BY_ITSELF: Final = frozenset({"LAND", "RTL", "SMART_RTL", "AUTO_RTL", "AUTO", "PRECLAND", "MISSION"})
+"""Modes that a pilot may choose and that end on the ground by themselves. Our silence would change them: `FS_OPTIONS`
+spares only what a pilot flies."""
+
+
+def must_beat(
+    telemetry: Telemetry, changed: Iterable[str], passed_s: float, autopilot: AutopilotKind = ARDUPILOT
+) -> bool:
+    """Whether our heartbeats still serve it, so long after the hand-over, with these parameters not put back yet.
+
+    Silent, they let its own failsafe act, should nobody fly it. In a mode that ends on the ground by itself that would
+    act against its pilot, and so would what we have set, until it is put back. What flies by a stream of velocities
+    acts when those stop, whatever our heartbeats do, and by these alone also in its pilot's modes.
+    """
+    if autopilot.flies_by_stream:
+        return True
+    restoring = passed_s < RESTORE_S and not ACTS_IN_FLIGHT.isdisjoint(changed)
+    return not telemetry.armed or restoring or telemetry.mode in ENDS_BY_ITSELF

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
+from cognitivedrone.control.safety import Decision, Order
 from cognitivedrone.control.safety.health import VELOCITY_MODES, Health
-from cognitivedrone.types import FloatArray
+from cognitivedrone.types import Action, FloatArray
 from cognitivedrone.vehicles.mavlink.client.link.heartbeats import Grounded
 from cognitivedrone.vehicles.mavlink.client.link.traffic import Traffic, impostor_of
 from cognitivedrone.vehicles.mavlink.telemetry import POSITION_IGNORED, Telemetry, stick_moved
@@ -184,3 +186,23 @@ def foreign_target(telemetry: Telemetry, since: float, sent: Iterable[tuple[floa
     return (
         t.target_speed > max((speed for at, speed in sent if at >= t.target_at - OWN_TARGETS_S), default=0) + TARGET_M_S
     )
+
+
+class FlightGuard(Protocol):
+    """The rules of safety: `cognitivedrone.control.safety.Guard`."""
+
+    def judge(self, health: Health) -> Decision:
+        """What to do now."""
+        ...
+
+    def shape(self, health: Health) -> Action:
+        """The command (4,) to send now, after a decision to fly."""
+        ...
+
+    def order(self, decision: Decision, health: Health, landing: str) -> Order:
+        """What to send for a decision but to fly; `landing` is the mode that lands."""
+        ...
+
+    def land(self, reason: str) -> None:
+        """Decide to land from now on."""
+        ...

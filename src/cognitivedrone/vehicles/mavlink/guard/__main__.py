@@ -1,4 +1,4 @@
-"""`python -m cognitivedrone.vehicles.mavlink.guard SETTINGS`: started by `GuardedDrone`, never by hand.
+"""`python -m cognitivedrone.vehicles.mavlink.guard SETTINGS`: started by `SupervisedDrone`, never by hand.
 
 SETTINGS is JSON: the link's URL, the rules, how the vehicle is talked to, and the files that were inherited.
 """

@@ -1,6 +1,6 @@
 """An ArduCopter or a PX4 over MAVLink as a `Drone` with its `Clock`, flown through a guard process.
 
-    with GuardedDrone("udp:127.0.0.1:14550", camera, SafetyConfig()) as drone:
+    with SupervisedDrone("udp:127.0.0.1:14550", camera, SafetyConfig()) as drone:
         drone.take_off(confirm)
         fly(drone, policy, drone, mission)
 
@@ -62,7 +62,7 @@ STOPPED_S = 2.0
 """A guard that has sent nothing for so long has been stopped."""
 
 
-class GuardedDrone:
+class SupervisedDrone:
     """Starts the guard and connects when it is made, which checks that the vehicle is a copter on ArduPilot or PX4.
 
     The camera is its own from then on, and closed with it, also where it cannot be made. Raises `LinkError` for what
@@ -110,7 +110,7 @@ class GuardedDrone:
             self._on_silence = AUTOPILOTS[self.met.vehicle.autopilot].on_silence
             self._undo = undo.pop_all()
 
-    def __enter__(self) -> GuardedDrone:
+    def __enter__(self) -> SupervisedDrone:
         return self
 
     def __exit__(self, *exception: object) -> None:

@@ -24,8 +24,7 @@ from cognitivedrone.errors import CognitiveDroneError, LinkError
 from cognitivedrone.system import HANG_UP, steady_s
 from cognitivedrone.vehicles.checklist import Checklist
 from cognitivedrone.vehicles.mavlink.client.core import FlightCore
-from cognitivedrone.vehicles.mavlink.client.handover import RESTORE_S
-from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
+from cognitivedrone.vehicles.mavlink.client.handshake import RESTORE_S, MavlinkConfig
 from cognitivedrone.vehicles.mavlink.client.link.connection import WATCH_S
 from cognitivedrone.vehicles.mavlink.client.link.tlog import PacketLog
 from cognitivedrone.vehicles.mavlink.client.link.transport import open_transport

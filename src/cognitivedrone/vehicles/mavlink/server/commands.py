@@ -14,13 +14,13 @@ import numpy as np
 from cognitivedrone.types import DroneState
 from cognitivedrone.vehicles.mavlink.server.modes import FlightModes, Mode, Severity
 from cognitivedrone.vehicles.mavlink.server.parameters import Parameters
-from cognitivedrone.vehicles.mavlink.server.reports import REPORTS, Snapshot
+from cognitivedrone.vehicles.mavlink.server.reports import REPORTS, VehicleSnapshot
 from cognitivedrone.vehicles.mavlink.server.targets import (
     GLOBAL_FRAMES,
     LOCAL_FRAMES,
-    Heading,
     PositionTarget,
     Setpoint,
+    TargetHeading,
     compass_to_world,
     decode,
 )
@@ -39,7 +39,7 @@ class Peer(Protocol):
     parameters: Any
 
 
-class Vehicle(Protocol):
+class CommandedVehicle(Protocol):
     """The vehicle that commands act on."""
 
     time: float
@@ -54,7 +54,7 @@ class Vehicle(Protocol):
         """Send a STATUSTEXT to all peers."""
         ...
 
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> VehicleSnapshot:
         """The current state, for reports."""
         ...
 
@@ -66,7 +66,7 @@ class Vehicle(Protocol):
 class Commands:
     """The message handlers of one vehicle."""
 
-    def __init__(self, m: Any, vehicle: Vehicle) -> None:
+    def __init__(self, m: Any, vehicle: CommandedVehicle) -> None:
         self._m = m
         self._vehicle = vehicle
         self._modes = vehicle.modes
@@ -180,7 +180,7 @@ class Commands:
         if isinstance(target, str):
             return self._done(target)
         if isinstance(target, PositionTarget) and math.isfinite(message.param4):
-            heading = Heading(compass_to_world(math.radians(message.param4)))
+            heading = TargetHeading(compass_to_world(math.radians(message.param4)))
             target = PositionTarget(target.position, target.velocity, heading, target.time)
         self._modes.set_mode(Mode.GUIDED)
         self._modes.aim(target)

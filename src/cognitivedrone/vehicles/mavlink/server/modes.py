@@ -16,7 +16,7 @@ from cognitivedrone.frames import world_to_heading, wrap_angle, yaw_of
 from cognitivedrone.sim.autopilot import AutopilotGains
 from cognitivedrone.types import DroneState, FloatArray
 from cognitivedrone.vehicles.mavlink.server.parameters import Parameters
-from cognitivedrone.vehicles.mavlink.server.targets import Heading, Home, PositionTarget, Target, VelocityTarget
+from cognitivedrone.vehicles.mavlink.server.targets import Home, PositionTarget, Target, TargetHeading, VelocityTarget
 
 
 class Mode(IntEnum):
@@ -176,39 +176,39 @@ class FlightModes:
         velocity, turn = self._fly(state)
         return np.append(world_to_heading(self._limited(velocity), heading), self._turn_rate(turn, heading))
 
-    def _fly(self, state: DroneState) -> tuple[FloatArray, Heading]:
+    def _fly(self, state: DroneState) -> tuple[FloatArray, TargetHeading]:
         """World velocity and heading target, according to the mode."""
-        still = np.zeros(3), Heading()
+        still = np.zeros(3), TargetHeading()
         match self.mode:
             case Mode.GUIDED:
                 return self._guided(state)
             case Mode.RTL:
-                return self._return(state), Heading()
+                return self._return(state), TargetHeading()
             case Mode.LAND:
-                return self._land(state, self._stay(state)), Heading()
+                return self._land(state, self._stay(state)), TargetHeading()
             case Mode.BRAKE:
                 return still
             case _:
                 heading = float(yaw_of(state.quaternion))
-                return world_to_heading(self.sticks[:3], -heading), Heading(rate=float(self.sticks[3]))
+                return world_to_heading(self.sticks[:3], -heading), TargetHeading(rate=float(self.sticks[3]))
 
-    def _guided(self, state: DroneState) -> tuple[FloatArray, Heading]:
+    def _guided(self, state: DroneState) -> tuple[FloatArray, TargetHeading]:
         target = self._target
         if self._climb_to is not None:
             missing = self._climb_to - float(state.position[2])
             if not self.landed and missing < _TAKEN_OFF_M:
                 place = np.array([*self._stay(state)[:2], self._climb_to])
                 self._climb_to = None
-                self._target = PositionTarget(place, np.zeros(3), Heading(), self._time)
-            return np.array([0.0, 0.0, self._climb_speed(missing)]), Heading()
+                self._target = PositionTarget(place, np.zeros(3), TargetHeading(), self._time)
+            return np.array([0.0, 0.0, self._climb_speed(missing)]), TargetHeading()
         fresh = target is not None and self._time - target.time < self.parameters["GUID_TIMEOUT"]
         if isinstance(target, PositionTarget):
             feed = target.velocity if fresh else np.zeros(3)
-            lapsed = Heading(target.heading.yaw, target.heading.rate if fresh else 0.0)
+            lapsed = TargetHeading(target.heading.yaw, target.heading.rate if fresh else 0.0)
             return self._towards(target.position - state.position) + feed, lapsed
         if isinstance(target, VelocityTarget) and fresh:
             return target.velocity, target.heading
-        return np.zeros(3), Heading()
+        return np.zeros(3), TargetHeading()
 
     def _return(self, state: DroneState) -> FloatArray:
         """Velocity of a return: climb, fly home, wait, land."""
@@ -264,7 +264,7 @@ class FlightModes:
         up, down = self.parameters["WPNAV_SPEED_UP"] / 100, self.parameters["WPNAV_SPEED_DN"] / 100
         return np.array([flat[0], flat[1], min(max(float(velocity[2]), -down), up)])
 
-    def _turn_rate(self, turn: Heading, heading: float) -> float:
+    def _turn_rate(self, turn: TargetHeading, heading: float) -> float:
         if turn.yaw is None:
             return turn.rate
         rate = _YAW_P * float(wrap_angle(turn.yaw - heading)) + turn.rate

@@ -22,7 +22,7 @@ _EKF_HEALTHY = 0x33F  # attitude, velocities, positions, predictions: as a healt
 
 
 @dataclass(frozen=True, slots=True)
-class Snapshot:
+class VehicleSnapshot:
     """The state that reports are made from."""
 
     time: float
@@ -76,7 +76,7 @@ class Snapshot:
         return not self.landed
 
 
-def _heartbeat(m: Any, s: Snapshot) -> Any:
+def _heartbeat(m: Any, s: VehicleSnapshot) -> Any:
     base = m.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | m.MAV_MODE_FLAG_STABILIZE_ENABLED
     base |= m.MAV_MODE_FLAG_SAFETY_ARMED if s.armed else 0
     base |= m.MAV_MODE_FLAG_GUIDED_ENABLED if s.mode in (Mode.GUIDED, Mode.RTL, Mode.LAND) else 0
@@ -86,27 +86,27 @@ def _heartbeat(m: Any, s: Snapshot) -> Any:
     )
 
 
-def _attitude(m: Any, s: Snapshot) -> Any:
+def _attitude(m: Any, s: VehicleSnapshot) -> Any:
     return m.MAVLink_attitude_message(s.boot_ms, *s.euler, *map(float, s.rates_frd))
 
 
-def _attitude_quaternion(m: Any, s: Snapshot) -> Any:
+def _attitude_quaternion(m: Any, s: VehicleSnapshot) -> Any:
     return m.MAVLink_attitude_quaternion_message(
         s.boot_ms, *map(float, ned_quaternion(s.state.quaternion)), *map(float, s.rates_frd)
     )
 
 
-def _local_position(m: Any, s: Snapshot) -> Any:
+def _local_position(m: Any, s: VehicleSnapshot) -> Any:
     local = s.home.to_local(s.state.position)
     return m.MAVLink_local_position_ned_message(s.boot_ms, *map(float, local), *map(float, s.velocity_ned))
 
 
-def _degrees(s: Snapshot) -> tuple[int, int, float]:
+def _degrees(s: VehicleSnapshot) -> tuple[int, int, float]:
     latitude, longitude, altitude = s.home.to_global(s.state.position)
     return round(latitude * 1e7), round(longitude * 1e7), altitude
 
 
-def _global_position(m: Any, s: Snapshot) -> Any:
+def _global_position(m: Any, s: VehicleSnapshot) -> Any:
     latitude, longitude, altitude = _degrees(s)
     velocity = [_clamped(v * 100, 32767) for v in s.velocity_ned]
     relative = round((altitude - s.home.altitude) * 1000)
@@ -115,7 +115,7 @@ def _global_position(m: Any, s: Snapshot) -> Any:
     )
 
 
-def _gps_raw(m: Any, s: Snapshot) -> Any:
+def _gps_raw(m: Any, s: VehicleSnapshot) -> Any:
     latitude, longitude, altitude = _degrees(s)
     north, east, _ = (float(v) for v in s.velocity_ned)
     track_runner = round(math.degrees(math.atan2(east, north)) * 100) % 36000
@@ -126,7 +126,7 @@ def _gps_raw(m: Any, s: Snapshot) -> Any:
     )
 
 
-def _vfr_hud(m: Any, s: Snapshot) -> Any:
+def _vfr_hud(m: Any, s: VehicleSnapshot) -> Any:
     north, east, down = (float(v) for v in s.velocity_ned)
     throttle = 35 if s.armed and s.flying else 0
     ground = math.hypot(north, east)
@@ -139,16 +139,16 @@ def battery_volts(left: float) -> float:
     return CELLS * (EMPTY_V + (FULL_V - EMPTY_V) * left)
 
 
-def _volts(s: Snapshot) -> float:
+def _volts(s: VehicleSnapshot) -> float:
     """Voltage of one cell."""
     return battery_volts(s.battery) / CELLS
 
 
-def _amperes(s: Snapshot) -> float:
+def _amperes(s: VehicleSnapshot) -> float:
     return HOVER_A if s.armed and s.flying else 0.5
 
 
-def _sys_status(m: Any, s: Snapshot) -> Any:
+def _sys_status(m: Any, s: VehicleSnapshot) -> Any:
     present = (
         m.MAV_SYS_STATUS_SENSOR_3D_GYRO
         | m.MAV_SYS_STATUS_SENSOR_3D_ACCEL
@@ -169,7 +169,7 @@ def _sys_status(m: Any, s: Snapshot) -> Any:
     )  # fmt: skip
 
 
-def _battery(m: Any, s: Snapshot) -> Any:
+def _battery(m: Any, s: VehicleSnapshot) -> Any:
     cells = [round(_volts(s) * 1000)] * CELLS + [_UNKNOWN_U16] * (10 - CELLS)
     return m.MAVLink_battery_status_message(
         0, m.MAV_BATTERY_FUNCTION_ALL, m.MAV_BATTERY_TYPE_LIPO, 32767, cells, round(_amperes(s) * 100), -1, -1,
@@ -177,7 +177,7 @@ def _battery(m: Any, s: Snapshot) -> Any:
     )  # fmt: skip
 
 
-def _extended_state(m: Any, s: Snapshot) -> Any:
+def _extended_state(m: Any, s: VehicleSnapshot) -> Any:
     if s.landed:
         landed = m.MAV_LANDED_STATE_ON_GROUND
     elif s.taking_off:
@@ -187,7 +187,7 @@ def _extended_state(m: Any, s: Snapshot) -> Any:
     return m.MAVLink_extended_sys_state_message(m.MAV_VTOL_STATE_UNDEFINED, landed)
 
 
-def _home(m: Any, s: Snapshot) -> Any:
+def _home(m: Any, s: VehicleSnapshot) -> Any:
     h = s.home
     return m.MAVLink_home_position_message(
         round(h.latitude * 1e7), round(h.longitude * 1e7), round(h.altitude * 1000), 0.0, 0.0, 0.0,
@@ -195,26 +195,26 @@ def _home(m: Any, s: Snapshot) -> Any:
     )  # fmt: skip
 
 
-def _origin(m: Any, s: Snapshot) -> Any:
+def _origin(m: Any, s: VehicleSnapshot) -> Any:
     h = s.home
     place = round(h.latitude * 1e7), round(h.longitude * 1e7), round(h.altitude * 1000)
     return m.MAVLink_gps_global_origin_message(*place, round(s.time * 1e6))
 
 
-def _system_time(m: Any, s: Snapshot) -> Any:
+def _system_time(m: Any, s: VehicleSnapshot) -> Any:
     return m.MAVLink_system_time_message(round(s.unix_time * 1e6), s.boot_ms)
 
 
-def _ekf(m: Any, s: Snapshot) -> Any:
+def _ekf(m: Any, s: VehicleSnapshot) -> Any:
     return m.MAVLink_ekf_status_report_message(_EKF_HEALTHY if s.ready else 0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def _fence(m: Any, s: Snapshot) -> Any:
+def _fence(m: Any, s: VehicleSnapshot) -> Any:
     kind = {0: m.FENCE_BREACH_NONE, 1: m.FENCE_BREACH_MAXALT}.get(s.breaches, m.FENCE_BREACH_BOUNDARY)
     return m.MAVLink_fence_status_message(int(s.breaches > 0), s.breach_count, kind, 0)
 
 
-def _target(m: Any, s: Snapshot) -> Any:
+def _target(m: Any, s: VehicleSnapshot) -> Any:
     position: FloatArray = np.zeros(3)
     velocity: FloatArray = np.zeros(3)
     mask = 0x0FFF  # no target
@@ -227,7 +227,7 @@ def _target(m: Any, s: Snapshot) -> Any:
     )
 
 
-def _version(m: Any, s: Snapshot) -> Any:
+def _version(m: Any, s: VehicleSnapshot) -> Any:
     capabilities = (
         m.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
         | m.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
@@ -246,7 +246,7 @@ def _clamped(value: float, limit: int) -> int:
     return max(-limit, min(limit, round(value)))
 
 
-Report = Callable[[Any, Snapshot], Any]
+Report = Callable[[Any, VehicleSnapshot], Any]
 
 REPORTS: dict[str, tuple[Report, float]] = {
     "HEARTBEAT": (_heartbeat, 1.0),

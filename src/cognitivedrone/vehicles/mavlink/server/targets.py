@@ -28,7 +28,7 @@ FARTHEST_M = 5000.0
 
 
 @dataclass(frozen=True, slots=True)
-class Heading:
+class TargetHeading:
     """Heading target: a world heading, rad, or a yaw rate, rad/s; the defaults hold the heading."""
 
     yaw: float | None = None
@@ -41,7 +41,7 @@ class VelocityTarget:
 
     velocity: FloatArray
     """(3,) world, m/s."""
-    heading: Heading
+    heading: TargetHeading
     time: float
     """Time of arrival, s."""
 
@@ -54,7 +54,7 @@ class PositionTarget:
     """(3,) world, m."""
     velocity: FloatArray
     """(3,) world, m/s: feed-forward; expires after GUID_TIMEOUT."""
-    heading: Heading
+    heading: TargetHeading
     time: float
 
 
@@ -144,17 +144,17 @@ def decode(setpoint: Setpoint, state: DroneState, home: Home, time: float) -> Ta
     return PositionTarget(position, velocity, heading, time)
 
 
-def _heading(setpoint: Setpoint, now: float) -> Heading | None:
+def _heading(setpoint: Setpoint, now: float) -> TargetHeading | None:
     """The heading target; none if the message contains a value that is not a number."""
     rate = 0.0 if setpoint.mask & _YAW_RATE else setpoint.yaw_rate
     if not math.isfinite(rate):
         return None
     if setpoint.mask & _YAW:
-        return Heading(rate=-rate)
+        return TargetHeading(rate=-rate)
     if not math.isfinite(setpoint.yaw):
         return None
     yaw = now - setpoint.yaw if setpoint.frame in _BODY else compass_to_world(setpoint.yaw)
-    return Heading(float(wrap_angle(yaw)), -rate)
+    return TargetHeading(float(wrap_angle(yaw)), -rate)
 
 
 def compass_to_world(yaw: float) -> float:

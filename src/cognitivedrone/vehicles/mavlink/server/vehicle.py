@@ -19,7 +19,7 @@ import numpy as np
 
 from cognitivedrone.errors import RunError
 from cognitivedrone.frames import yaw_of
-from cognitivedrone.sim.dynamics import Flight
+from cognitivedrone.sim.dynamics import BatchedFlight
 from cognitivedrone.sim.gate_monitor import GateEvent
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.types import DroneState, Image
@@ -27,12 +27,12 @@ from cognitivedrone.vehicles.mavlink.server.commands import Commands
 from cognitivedrone.vehicles.mavlink.server.modes import FlightModes, Mode, Severity
 from cognitivedrone.vehicles.mavlink.server.parameters import Parameters
 from cognitivedrone.vehicles.mavlink.server.ports import Address, Port, endpoint, open_port
-from cognitivedrone.vehicles.mavlink.server.reports import REPORTS, Snapshot, battery_volts
+from cognitivedrone.vehicles.mavlink.server.reports import REPORTS, VehicleSnapshot, battery_volts
 from cognitivedrone.vehicles.mavlink.server.targets import Home
 from cognitivedrone.vehicles.mavlink.telemetry import dialect
 
-STEP_TICKS = Flight.SAMPLE_TICKS
-STEP_S = STEP_TICKS * Flight.TICK_S
+STEP_TICKS = BatchedFlight.SAMPLE_TICKS
+STEP_S = STEP_TICKS * BatchedFlight.TICK_S
 """Period of `SimulatedVehicle.step`, s."""
 COMPONENT = 1
 """MAV_COMP_ID_AUTOPILOT1."""
@@ -201,10 +201,10 @@ class SimulatedVehicle:
         with self._lock:
             return [each for port in self._ports for each in port.sockets()]
 
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> VehicleSnapshot:
         """The current state, for reports."""
         modes = self.modes
-        return Snapshot(
+        return VehicleSnapshot(
             self.time,
             time.time(),
             self.simulator.state(0),
@@ -303,7 +303,7 @@ class SimulatedVehicle:
 
     def _report(self) -> None:
         """Send every report that is due."""
-        snapshot: Snapshot | None = None
+        snapshot: VehicleSnapshot | None = None
         for peer in list(self._peers):
             for name in [peer.parameters.popleft() for _ in range(min(_PARAMETERS_PER_STEP, len(peer.parameters)))]:
                 self.send_parameter(peer, name)

@@ -10,12 +10,12 @@ from cognitivedrone.vehicles.mavlink.client.checks.expected import EXPECTED
 from cognitivedrone.vehicles.mavlink.client.checks.parameters import ParameterChanges
 from cognitivedrone.vehicles.mavlink.client.checks.preflight import FRESH_S, Facts, build_checklist, corrections
 from cognitivedrone.vehicles.mavlink.client.handshake import HOME_POSITION, MavlinkConfig, Met
-from cognitivedrone.vehicles.mavlink.client.link.connection import Connection
+from cognitivedrone.vehicles.mavlink.client.link.connection import MavlinkConnection
 from cognitivedrone.vehicles.mavlink.renames import Own, read_by_either_name
 
 
 def inspect(
-    link: Connection, met: Met, config: MavlinkConfig, changes: ParameterChanges, frame_age_s: float
+    link: MavlinkConnection, met: Met, config: MavlinkConfig, changes: ParameterChanges, frame_age_s: float
 ) -> tuple[Checklist, float | None]:
     """Read the parameters that safety depends on, correct those that may be set, and judge it all.
 

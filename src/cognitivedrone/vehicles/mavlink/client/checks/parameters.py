@@ -36,7 +36,7 @@ REPEAT_S = 0.5
 LARGEST = 100_000
 
 
-class Parameters(Protocol):
+class ChangedParameters(Protocol):
     """A vehicle that is asked for parameters: `Connection`."""
 
     def parameters(self, names: Sequence[str]) -> dict[str, float | None]:
@@ -97,7 +97,7 @@ class ParameterChanges:
         """By name."""
         return self._open
 
-    def make(self, link: Parameters, values: Mapping[str, float | None], wanted: Mapping[str, float]) -> None:
+    def make(self, link: ChangedParameters, values: Mapping[str, float | None], wanted: Mapping[str, float]) -> None:
         """Set what is wanted. Raises `LinkError` where a value does not take, or what was cannot be kept."""
         for name, value in wanted.items():
             was = self._open[name].was if name in self._open else values[name]
@@ -107,7 +107,7 @@ class ParameterChanges:
         for name, value in wanted.items():
             link.set_parameter(name, value)
 
-    def put_back(self, link: Parameters, *, flying: bool = False) -> tuple[str, ...]:
+    def put_back(self, link: ChangedParameters, *, flying: bool = False) -> tuple[str, ...]:
         """Put back what may go now, waiting for it; the names of those that stay as we set them."""
         if self._journal is None or not self._open:
             return ()
@@ -131,7 +131,7 @@ class ParameterChanges:
             self._waiting = False
         return tuple(failed)
 
-    def put_back_meanwhile(self, link: Parameters, now: float, *, flying: bool) -> None:
+    def put_back_meanwhile(self, link: ChangedParameters, now: float, *, flying: bool) -> None:
         """Put back, without waiting, what may go now: called again and again, from where the link is listened to."""
         if self._journal is None or not self._open or self._waiting:
             return

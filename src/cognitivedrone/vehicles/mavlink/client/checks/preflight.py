@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 
 from cognitivedrone.errors import LinkError
 from cognitivedrone.vehicles.checklist import Checklist, Finding, State
-from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS, Autopilot
+from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS, AutopilotKind
 from cognitivedrone.vehicles.mavlink.client.checks.expected import EXPECTED, Expected, Values
-from cognitivedrone.vehicles.mavlink.client.link.connection import Vehicle
+from cognitivedrone.vehicles.mavlink.client.link.connection import VehicleId
 from cognitivedrone.vehicles.mavlink.client.link.traffic import OUR_SYSTEM, Traffic, impostor_of
 from cognitivedrone.vehicles.mavlink.renames import Own
 from cognitivedrone.vehicles.mavlink.telemetry import COPTER_TYPES, Telemetry
@@ -22,7 +22,7 @@ KINDS = {0: "generic vehicle", 1: "fixed wing", 10: "ground rover", 11: "boat", 
 FRESH_S = 1.0
 
 
-def check_vehicle(vehicle: Vehicle, version: int | None) -> tuple[int, int] | None:
+def check_vehicle(vehicle: VehicleId, version: int | None) -> tuple[int, int] | None:
     """The firmware's version (major, minor), none where it is not reported.
 
     `version` is flight_sw_version of AUTOPILOT_VERSION. Raises `LinkError` for anything but a copter on ArduPilot or
@@ -52,7 +52,7 @@ def check_vehicle(vehicle: Vehicle, version: int | None) -> tuple[int, int] | No
 
 
 def corrections(
-    values: Values, ceiling_m: float, only: Collection[str] | None = None, autopilot: Autopilot = ARDUPILOT
+    values: Values, ceiling_m: float, only: Collection[str] | None = None, autopilot: AutopilotKind = ARDUPILOT
 ) -> dict[str, float]:
     """What to set, with consent, of the parameters that the vehicle has at values that will not do; of `only` these."""
     return {
@@ -86,7 +86,7 @@ class Facts:
     judges_time: bool = True
     """Whether the vehicle's time is compared with the wall clock: not for a simulation that runs at another speed."""
     low_battery: float = 0.3
-    autopilot: Autopilot = ARDUPILOT
+    autopilot: AutopilotKind = ARDUPILOT
     own: Mapping[str, Own] = field(default_factory=dict)
     """The same as the vehicle has them, where that may differ."""
 

@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from cognitivedrone.errors import LinkError
-from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS, REAL32, Autopilot
-from cognitivedrone.vehicles.mavlink.client.link.decoder import Decoder
+from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS, REAL32, AutopilotKind
 from cognitivedrone.vehicles.mavlink.client.link.heartbeats import Chain, Flown, Heartbeats, Shown, heard
 from cognitivedrone.vehicles.mavlink.client.link.traffic import (
     OUR_COMPONENT,
     OUR_SYSTEM,
+    MessageDecoder,
     Traffic,
     answered,
     noticed,
@@ -61,7 +61,7 @@ MODE_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Vehicle:
+class VehicleId:
     """The vehicle at the other end, as its heartbeat identifies it."""
 
     system: int
@@ -72,7 +72,7 @@ class Vehicle:
     """MAV_AUTOPILOT."""
 
 
-class Connection:
+class MavlinkConnection:
     """Connects to the first vehicle whose heartbeat arrives, or to the one with system id `system`.
 
     A thread receives and sends heartbeats; without `threaded`, the caller does so by calling `step` repeatedly. `watch`
@@ -98,7 +98,7 @@ class Connection:
         self._flown = flown
         self._beat = self._vehicle_beat = self._watched = self._pinged = self._asked = -math.inf
         self._encoder = dialect().MAVLink(_Outlet(self._put), OUR_SYSTEM, OUR_COMPONENT)
-        self._decoder = Decoder(datagrams=transport.datagrams)
+        self._decoder = MessageDecoder(datagrams=transport.datagrams)
         self._sending = threading.Lock()
         self._asking = threading.RLock()
         self._news = threading.Condition()
@@ -109,7 +109,7 @@ class Connection:
         """Parameters and commands whose answers are kept: a flood of others must not fill the memory."""
         self._kinds: dict[str, int] = {}
         """MAV_PARAM_TYPE of the parameters received."""
-        self.vehicle: Vehicle | None = None
+        self.vehicle: VehicleId | None = None
         self.signs = False
         """Whether the vehicle signs its packets: then it may ignore ours."""
         self.telemetry = Telemetry()
@@ -129,7 +129,7 @@ class Connection:
             self._thread.start()
 
     @property
-    def autopilot(self) -> Autopilot:
+    def autopilot(self) -> AutopilotKind:
         """What the vehicle runs; ArduPilot until its heartbeat arrives, and for what is not flown."""
         return AUTOPILOTS.get(self.vehicle.autopilot, ARDUPILOT) if self.vehicle is not None else ARDUPILOT
 
@@ -255,7 +255,7 @@ class Connection:
         self._asked_for.add(("parameter", name))
         self._replies.pop(("parameter", name), None)
 
-    def _target(self) -> Vehicle:
+    def _target(self) -> VehicleId:
         if self.vehicle is None:
             raise LinkError("no vehicle has sent a heartbeat on this link yet")
         return self.vehicle
@@ -301,7 +301,7 @@ class Connection:
         with self._sending:
             self._transport.close()
             self._transport, self._failure = transport, None
-            self._decoder = Decoder(datagrams=transport.datagrams)
+            self._decoder = MessageDecoder(datagrams=transport.datagrams)
             self._peer = None, -math.inf
 
     def fail(self, error: LinkError) -> None:
@@ -335,7 +335,7 @@ class Connection:
         kind, sender = message.get_type(), (message.get_srcSystem(), message.get_srcComponent())
         wanted = self.vehicle is None and self._system in (None, sender[0])
         if kind == "HEARTBEAT" and wanted and is_vehicle(message):
-            self.vehicle = Vehicle(*sender, message.type, message.autopilot)
+            self.vehicle = VehicleId(*sender, message.type, message.autopilot)
         known = (self.vehicle.system, self.vehicle.component) if self.vehicle is not None else None
         if sender != known:
             self.traffic = noticed(self.traffic, message, known, now)

@@ -1,11 +1,43 @@
-"""Faults of TLS that trying again does not mend, in a sentence with the way out."""
+"""Why a connection fails, in a sentence with the way out: the environment's proxy, and faults of TLS."""
 
 from __future__ import annotations
 
+import os
 import ssl
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from urllib.parse import urlsplit
+from urllib.request import proxy_bypass
 
 from cognitivedrone.text.printable import visible
+
+SCHEMES = {
+    "ws": ("ws", "socks", "https", "http"),
+    "wss": ("wss", "socks", "https"),
+    "http": ("http", "all"),
+    "https": ("https", "all"),
+}
+"""Whose variables count for a URL, in this order: as websockets reads them for ws and wss, httpx for http and https."""
+
+
+def proxy_hint(url: str) -> str:
+    """A clause that names the variable whose proxy a connection to `url` goes through; empty if there is none.
+
+    The proxy's address is not repeated: it may hold a password.
+    """
+    parts = urlsplit(url)
+    variable = _variable(SCHEMES.get(parts.scheme, ()))
+    if variable is None or not parts.hostname or proxy_bypass(parts.netloc.rpartition("@")[2]):
+        return ""
+    return (
+        f", through the proxy that the environment variable {variable} names; if it must be reached without, set"
+        f" no_proxy={parts.hostname}"
+    )
+
+
+def _variable(schemes: Sequence[str]) -> str | None:
+    names = (name for scheme in schemes for name in (f"{scheme}_proxy", f"{scheme}_proxy".upper()))
+    return next((name for name in names if os.environ.get(name)), None)
+
 
 _MISMATCH = (62, 64)  # X509_V_ERR_HOSTNAME_MISMATCH, X509_V_ERR_IP_ADDRESS_MISMATCH
 _TIME = {9: "is not valid yet", 10: "has expired"}

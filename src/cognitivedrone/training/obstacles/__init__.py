@@ -1,1 +1,0 @@
-"""Training of the eye that sees what is in the way."""
