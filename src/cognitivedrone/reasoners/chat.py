@@ -20,8 +20,7 @@ from urllib.parse import urlsplit
 
 from cognitivedrone.errors import ReasonerError, ServerError, did_you_mean, import_extra
 from cognitivedrone.reasoners.reply import quote, unfinished
-from cognitivedrone.remote.proxy import proxy_hint
-from cognitivedrone.remote.tls import tls_fault
+from cognitivedrone.remote.faults import proxy_hint, tls_fault
 from cognitivedrone.text.json_text import parse_json
 
 MAX_RESPONSE_BYTES = 256 * 1024

@@ -37,9 +37,7 @@ from cognitivedrone.reasoners.prompt import (
     load_prompt,
     write_prompt,
 )
-from cognitivedrone.reasoners.reply import quote, read_reply, unfinished
-from cognitivedrone.remote.faults import proxy_hint, tls_fault
-from cognitivedrone.text.json_text import parse_json
+from cognitivedrone.reasoners.reply import read_reply
 from cognitivedrone.types import Guidance, Image, SubGoal
 
 _Answer = TypeVar("_Answer")
