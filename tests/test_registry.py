@@ -175,7 +175,7 @@ class Bolder(WithFile):
         ("lerobot", "lerobot:FOLDER[,device=cuda|cpu]"),
         (
             "openvla",
-            "openvla:FOLDER[,decoder=ar|parallel][,quant=none|int8|int4][,device=cuda|cpu][,unnorm_key=TEXT][,stack=NUMBER][,compiled=yes|no]",
+            "openvla:FOLDER[,decoder=ar|parallel][,quant=none|int8|int4][,device=cuda|cpu][,unnorm_key=TEXT][,dims=TEXT][,scale=TEXT][,tokenizer=PATH][,stack=NUMBER][,compiled=yes|no]",
         ),
     ],
 )

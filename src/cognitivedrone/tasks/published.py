@@ -92,7 +92,7 @@ def task_files(path: Path, *, training: bool = False) -> list[Path]:
     Of a folder these are its `*.json`; or those below it that have a published name or lie beside or in a folder of
     their name; or the `setup.json` of recorded flights. Where published validation tasks are among them, the other
     published files, which are for training or repeat them, are not taken; for `training`, the others are, and never
-    those. Raises `TaskError` where there is none.
+    those, and none are no error. Raises `TaskError` where there is none.
     """
     if path.suffix.lower() in ARCHIVES and path.is_file():
         raise TaskError(f"{path} is an archive; unpack it and give the folder")
@@ -111,7 +111,7 @@ def task_files(path: Path, *, training: bool = False) -> list[Path]:
     elif originals := [file for file in files if "updated" not in _words(file.stem)]:
         files = originals
     files = files or ([] if training else own_files(path, f"**/{SETUP_FILE}"))
-    if not files:
+    if not files and not training:
         raise TaskError(f"{path}: holds no task file; put *.json task files there")
     return files
 

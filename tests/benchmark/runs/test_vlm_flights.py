@@ -141,7 +141,7 @@ def flown_mission(plan, out):
 
 def test_a_mission_is_flown_by_the_models_own_plan(tmp_path):
     goals = [
-        {"do": "fly", "what": f"sub-goal number {number}", "otherwise": "", "pad": "none", "never_through": []}
+        {"do": "fly", "what": f"sub-goal number {number}", "otherwise": "", "pad": "none", "never_through": ["green"]}
         for number in (0, 1)
     ]
     episode, script = flown_mission(json.dumps({"sub_goals": goals}), tmp_path)

@@ -107,16 +107,15 @@ def read(path: Path, *, columns: str = "") -> Iterator[tuple[Split, Episode]]:
     `columns` says which numbers of others' actions and states are ours (`foreign.Columns`). Raises `DataError` with the
     shard and record that cannot be read; a warning says what is missing.
     """
-    if not is_rlds(path):
+    info = read_json(_inner(path) / INFO) if is_rlds(path) else {"name": ""}
+    if isinstance(info, dict) and info.get("name", NAME) != NAME:
         return _others(path, Columns.parse(columns))
     return ((record.split, record.episode) for record in records(path))
 
 
 def is_rlds(path: Path) -> bool:
-    """Whether a folder is an RLDS data set of ours, or contains one; it may still be unreadable."""
-    folder = _inner(path)
-    info = read_json(folder / INFO) if (folder / INFO).is_file() else None
-    return isinstance(info, dict) and info.get("name") in (NAME, None)
+    """Whether a folder is an RLDS data set, or contains one of ours; it may still be unreadable."""
+    return (_inner(path) / INFO).is_file()
 
 
 def _others(path: Path, columns: Columns) -> Iterator[tuple[Split, Episode]]:
