@@ -65,9 +65,7 @@ def test_its_examples_are_short(example):
 
 
 def test_it_lists_the_examples():
-    assert {*EXAMPLES, "foreign_lerobot.py", "openvla_registration.py"} == {
-        file.name for file in (ROOT / "examples").glob("*.py")
-    }
+    assert {*EXAMPLES, "openvla_registration.py"} == {file.name for file in (ROOT / "examples").glob("*.py")}
 
 
 def test_the_example_of_a_video_shows_the_flight_from_its_start(tmp_path, monkeypatch):

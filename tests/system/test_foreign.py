@@ -38,12 +38,14 @@ REFUSED = [
 
 def run(system, folder, lines):
     """How each of the lines ended, and all that was written to standard error."""
-    site, home = folder / "site", folder / "home"
-    site.mkdir()
-    home.mkdir()
+    site, home, temporary = folder / "site", folder / "home", folder / "tmp"
+    for made in (site, home, temporary):
+        made.mkdir()
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     environment = dict(os.environ) if system == "linux" else foreign.environment(system, site)
+    # On Windows an open file keeps a folder; here, other processes would sweep it from the common place.
+    environment["TMPDIR"] = str(temporary)
     done = subprocess.run(
         [sys.executable, SCRIPT, str(port), *lines], cwd=home, env=environment, stdin=subprocess.DEVNULL,
         capture_output=True, text=True, encoding="utf-8",

@@ -107,7 +107,8 @@ def read(path: Path, *, columns: str = "") -> Iterator[tuple[Split, Episode]]:
     `columns` says which numbers of others' actions and states are ours (`foreign.Columns`). Raises `DataError` with the
     shard and record that cannot be read; a warning says what is missing.
     """
-    info = read_json(_inner(path) / INFO) if is_rlds(path) else {"name": ""}
+    described = _inner(path) / INFO
+    info = read_json(described) if described.exists() or described.is_symlink() else {"name": ""}
     if isinstance(info, dict) and info.get("name", NAME) != NAME:
         return _others(path, Columns.parse(columns))
     return ((record.split, record.episode) for record in records(path))
