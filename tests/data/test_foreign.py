@@ -9,9 +9,10 @@ import pyarrow.parquet as pq
 import pytest
 from factory import make_episode
 
+from cognitivedrone.cli import main
 from cognitivedrone.data.episode import Episode, Split
 from cognitivedrone.data.formats import export, import_
-from cognitivedrone.data.formats.foreign import Columns
+from cognitivedrone.data.formats.foreign import Columns, has_scene
 from cognitivedrone.data.formats.tfrecord import encode_example, write_record
 from cognitivedrone.errors import DataError
 
@@ -42,13 +43,14 @@ def shard(path, width=4, **more):
 def test_shards_alone_are_read_by_their_records(tmp_path):
     shard(tmp_path / "cognitive_drone-train.tfrecord-00003-of-00128")
     with pytest.warns(UserWarning, match=r"only 1 of 128 shards .* poses and scenes are not recorded") as said:
-        found = list(import_(tmp_path, "rlds"))
+        found = list(import_(tmp_path, "rlds", "published"))
     assert "dataset_info.json and features.json are missing" in str(said[0].message)
     for (split, episode), (_, original) in zip(found, FLIGHTS, strict=False):
         assert (split, episode.task.family, episode.task.category) == ("train", "digits", "symbol_understanding")
         assert episode.task.instruction == "Fly through the gate with ten"
         assert episode.task.gates[episode.task.target].color == "green"
         assert episode.images == original.images
+        assert not has_scene(episode.task)
         np.testing.assert_allclose(episode.action[:, [0, 2]], original.action[:, [0, 2]], atol=1e-5)
 
 
@@ -67,8 +69,11 @@ def test_other_widths_are_mapped_by_columns_and_the_error_shows_the_line(tmp_pat
     shard(tmp_path / "a.tfrecord", width=7)
     with pytest.raises(DataError, match=r"has 7 numbers a step, not 4; .* --columns 'action=0\+1\+2\+3 state="):
         list(import_(tmp_path, "rlds"))
+    with pytest.raises(DataError, match="lead backward on average; add `published`"):
+        list(import_(tmp_path, "rlds", "action=0+1+2+5"))
     with pytest.warns(UserWarning, match="not recorded"):
-        ((_, first), _) = import_(tmp_path, "rlds", "action=0+1+2+5")
+        ((_, first), _) = import_(tmp_path, "rlds", "velocities action=0+1+2+5")
+    assert (first.action[:, 0] < 0).all()
     assert first.action.shape == (5, 4)
     for wrong in ("action", "action=0+1", "speed=0+1+2+3", "action=a+b+c+d"):
         with pytest.raises(DataError, match="--columns"):
@@ -89,7 +94,18 @@ def test_other_widths_are_mapped_by_columns_and_the_error_shows_the_line(tmp_pat
 def test_broken_records_are_named(tmp_path, features, says):
     shard(tmp_path / "a.tfrecord", **features)
     with pytest.raises(DataError, match=rf"a\.tfrecord, record 0.*{says}"):
-        list(import_(tmp_path, "rlds"))
+        list(import_(tmp_path, "rlds", "published"))
+
+
+def test_what_no_scene_is_known_of_is_not_scored(tmp_path, capsys):
+    shard(tmp_path / "shards/a.tfrecord")
+    command = f"data import {tmp_path}/shards --from rlds --columns published --out {tmp_path}/in"
+    with pytest.warns(UserWarning, match="not recorded"):
+        main(command.split())
+    for words in ("reason --reasoner", "predict --policy"):
+        with pytest.raises(SystemExit):
+            main([*words.split(), "oracle", "--flights", str(tmp_path / "in")])
+        assert "2 of 2 flights record no scene" in capsys.readouterr().err
 
 
 def test_a_folder_without_shards_is_refused(tmp_path):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -25,7 +26,7 @@ from cognitivedrone.benchmark.runs.runner import results_folder
 from cognitivedrone.benchmark.scores.codec import dumps
 from cognitivedrone.benchmark.scores.results import versions, write_whole
 from cognitivedrone.control.calls import begin_stage, calling, check_chunk
-from cognitivedrone.data.recorded import Recorded, observation_at, recorded, state_at
+from cognitivedrone.data.recorded import Recorded, check_scenes, observation_at, recorded, state_at
 from cognitivedrone.envs.track_runner import stage_of
 from cognitivedrone.errors import RunError
 from cognitivedrone.interfaces import Policy
@@ -82,8 +83,10 @@ def predict(plan: PredictPlan) -> dict[str, OpenLoopScore]:
         raise RunError(f"{plan.flights} has no flight in its split {plan.split}; give --split all")
     policy = make_policy(plan.policy)
     policy.check()
+    if policy.needs_ground_truth:
+        check_scenes(flights, plan.flights)
     rows: dict[str, list[FloatArray]] = {}
-    with watched():
+    with closing(policy), watched():
         for number, flight in enumerate(counted(flights, "asking", len(flights))):
             rows.setdefault(flight.task.category, []).extend(_answers(policy, flight, number, plan))
     tokens = isinstance(policy, TokenPolicy) and policy.has_tokens

@@ -11,6 +11,7 @@ import numpy as np
 
 from cognitivedrone.data.episode import Episode, Split, decode_image
 from cognitivedrone.data.formats import published
+from cognitivedrone.data.formats.foreign import has_scene
 from cognitivedrone.data.layout import MANIFEST
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError
@@ -45,6 +46,14 @@ def recorded(path: Path, *, frame_lag: int = published.FRAME_LAG) -> Sequence[Re
         )
         for number, setup in enumerate(published.setups_of(path))
     ]
+
+
+def check_scenes(flights: Sequence[Recorded], path: Path) -> None:
+    """Raise `DataError` where the gates of a flight are not known: nothing can be scored against it."""
+    if unknown := sum(not has_scene(flight.task) for flight in flights):
+        raise DataError(
+            f"{path}: {unknown} of {len(flights)} flights record no scene, so which gate is right is unknown"
+        )
 
 
 def observation_at(episode: Episode, step: int) -> Observation:

@@ -31,7 +31,7 @@ from cognitivedrone.benchmark.scores.transport import not_measured
 from cognitivedrone.control.async_reasoner import asking, check_guidance
 from cognitivedrone.control.calls import begin_stage, seed_of
 from cognitivedrone.data.episode import decode_image
-from cognitivedrone.data.recorded import recorded, state_at
+from cognitivedrone.data.recorded import check_scenes, recorded, state_at
 from cognitivedrone.envs.track_runner import (
     TrackRunner,
     draw_start,
@@ -222,6 +222,7 @@ def _recorded(plan: ReasonPlan) -> _Source:
     """The first frame, or every n-th, of recorded flights: of a store, or of folders in the published layout."""
     path = cast(Path, plan.flights)
     flights = recorded(path, frame_lag=0)[: plan.episodes]
+    check_scenes(flights, path)
     digest = digest_of([task_to_json(flight.task)] for flight in flights)
 
     def all_views(reasoner: Reasoner) -> Iterator[View]:  # noqa: ARG001 - recordings leave nothing to chance

@@ -2,7 +2,7 @@
 
 What their records lack is filled in, and `MISSING` says so: the path by integrating the velocities, and the scene from
 the plain directive (the right gate) and from where the flight goes (which of the three it is). The other two gates are
-placeholders: such flights train and score actions; they cannot be flown again in their own scene.
+placeholders: such flights train and score actions; they cannot be flown again in their own scene (`has_scene`).
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ MISSING = (
     "poses and scenes are not recorded there: paths are integrated from the actions, and of the gates only the right"
     " one is known, from its directive"
 )
+_NO_OPTIONS = ("first", "second", "third")
 _PUBLISHED_SPAN_S = 0.3
 """Of a published displacement: three samples."""
 _ASIDE_RAD = 0.35
@@ -40,12 +41,17 @@ class Columns:
     """Which numbers of a record are ours: `action=0+1+2+5 state=0+1+2+3+4`, in the order of `WIDTHS`."""
 
     chosen: Mapping[str, tuple[int, ...]]
+    convention: str = ""
+    """`velocities`, or `published`: backward displacements over three samples."""
 
     @classmethod
     def parse(cls, text: str) -> Columns:
         """Read the option --columns; raises `DataError` with an example."""
-        chosen = {}
+        chosen, convention = {}, ""
         for part in text.split():
+            if part in ("velocities", "published"):
+                convention = part
+                continue
             name, equals, numbers = part.partition("=")
             found = numbers.split("+")
             if name not in WIDTHS or not equals or not all(each.isdecimal() for each in found):
@@ -53,7 +59,7 @@ class Columns:
             if len(found) != WIDTHS[name]:
                 raise DataError(f"--columns {part!r} names {len(found)} numbers; {name} has {WIDTHS[name]}")
             chosen[name] = tuple(map(int, found))
-        return cls(chosen)
+        return cls(chosen, convention)
 
     def of(self, name: str, table: NDArray[Any], where: str) -> NDArray[np.float32]:
         """(T, 4) or (T, 5) of a table (T, width); raises `DataError` that shows the line to type."""
@@ -65,10 +71,27 @@ class Columns:
             )
         return np.ascontiguousarray(table if wanted is None else table[:, wanted], dtype=np.float32)
 
+    def action(self, table: NDArray[Any], where: str) -> NDArray[np.float32]:
+        """(T, 4) m/s and rad/s of a table of actions; those that fly backward must be said to be which they are."""
+        found = self.of("action", table, where)
+        if not self.convention and len(found) and found[:, 0].mean() < 0:
+            raise DataError(
+                f"{where}: its actions lead backward on average; add `published` to --columns where they are"
+                " displacements of the published convention, or `velocities`"
+            )
+        if self.convention == "published":
+            found = found * np.array([-1, -1, -1, _PUBLISHED_SPAN_S], np.float32) / np.float32(_PUBLISHED_SPAN_S)
+        return found
+
     def state(self, table: NDArray[Any], where: str) -> NDArray[np.float32] | None:
         """(T, 5) of a table of states, if it has as many or --columns says which; else none."""
         known = table.shape[1] == WIDTHS["state"] or "state" in self.chosen
         return self.of("state", table, where) if known else None
+
+
+def has_scene(task: Task) -> bool:
+    """Whether the gates of a task are known; of an imported flight of others they may not be."""
+    return task.options != _NO_OPTIONS
 
 
 def example() -> str:
@@ -89,14 +112,10 @@ def foreign_episode(
 ) -> Episode:
     """An episode of T steps from frames, actions (T, 4) and, if recorded, states (T, 5); of the published `kind`.
 
-    Actions in the published convention, backward displacements over three samples, become velocities: those whose
-    first component is on average negative, since drones fly forward. Raises `DataError`.
+    Raises `DataError`.
     """
     if not len(images) or len(images) != len(action) or not np.isfinite(action).all():
         raise DataError(f"{where}: has {len(images)} frames and {len(action)} actions; it needs one each, finite")
-    if action[:, 0].mean() < 0:
-        signs = np.array([-1, -1, -1, 1], np.float32)
-        action = action * signs / np.float32(_PUBLISHED_SPAN_S)
     yaw = np.concatenate([[0.0], np.cumsum(action[:, 3].astype(np.float64))]) / CONTROL_HZ
     forward, left = action[:, 0].astype(np.float64), action[:, 1].astype(np.float64)
     steps = np.column_stack(
@@ -140,15 +159,14 @@ def _task(index: int, instruction: str, directive: str, kind: str, path: NDArray
     right = Gate(size or "big", shape or "square", color or "red")
     others = iter([each for each in COLORS if each != right.color])
     a, b, c = (right if gate == target else Gate("big", "square", next(others)) for gate in range(3))
-    options = ("first", "second", "third")
     task = Task(
         id=f"{kind or 'recorded'}/{index:06d}",
         category=known.category,
         family=known.family,
         instruction=instruction,
         directive=directive or write_directive(right),
-        options=options,
-        labels=tuple(f"{known.folder}/{option}" for option in options),  # type: ignore[arg-type]
+        options=_NO_OPTIONS,
+        labels=tuple(f"{known.folder}/{option}" for option in _NO_OPTIONS),  # type: ignore[arg-type]
         target=target,
         gates=(a, b, c),
     )

@@ -360,7 +360,7 @@ def read(path: Path, *, columns: str = "") -> Iterator[tuple[Split, Episode]]:
 def _foreign(steps: pa.Table, images: tuple[bytes, ...], row: dict[str, Any], columns: Columns, where: str) -> Episode:
     if "action" not in steps.column_names:
         raise DataError(f"{where}: has no column 'action'; {_OWN}")
-    action = columns.of("action", _matrix(steps, "action"), where)
+    action = columns.action(_matrix(steps, "action"), where)
     there = "observation.state" in steps.column_names
     state = columns.state(_matrix(steps, "observation.state"), where) if there else None
     sentences = row.get("tasks") or [""]

@@ -167,7 +167,7 @@ def _foreign(features: dict[str, Any], number: int, columns: Columns, where: str
         number,
         images,
         text("steps/language_instruction", "steps/observation/natural_language_instruction"),
-        columns.of("action", action, where),
+        columns.action(action, where),
         where,
         state=columns.state(state, where),
         directive=text("steps/language_instruction_simple", "episode_metadata/directive"),
