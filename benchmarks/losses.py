@@ -90,37 +90,29 @@ def _points(name: str, count: int) -> Iterator[Point]:
                 if view.index or task.target is None or len({gate.color for gate in task.gates}) < 3:
                     continue
                 reasoner.reset(EpisodeContext(task.instruction))
-                reasoner._add(reasoner._see(view.look()))
+                reasoner.look(view.look())
                 point = _point(reasoner, index, task)
                 if point is not None:
                     yield point
 
 
 def _point(reasoner: SmallReasoner, index: AttributeIndex, task: Task) -> Point | None:
-    gates = dict(reasoner._stage.gates)
-    if len(gates) < 3:
+    colors, scene, classes = reasoner.read()
+    if len(colors) < 3:
         return None
-    seen = [gates[COLORS.index(gate.color)] for gate in task.gates]
-    panels = reasoner.reader.attributes.single_things(np.stack([each.attributes / each.weight for each in seen]))
-    looks = np.stack([each.looks / each.weight for each in seen])
-    board = reasoner._board()
-    joint = _chosen(reasoner, task, ReadScene(panels, looks, board)) == task.target
-    shown = [_perfect(index, label, panels.shape[1]) for label in task.labels]
+    order = [colors.index(COLORS.index(gate.color)) for gate in task.gates]
+    place = order[task.target or 0]
+    joint = int(reasoner.decide(task.instruction, scene, classes)[:3].argmax()) == place
+    shown = [_perfect(index, label, scene.panels.shape[1]) for label in task.labels]
     right = shown[task.target or 0]
-    eyes = None if right is None else int(_fit(panels, right).argmax()) == task.target
-    if any(each is None for each in shown):
+    eyes = None if right is None else int(_fit(scene.panels, right).argmax()) == place
+    board = _perfect(index, task.board, len(scene.board)) if task.board else np.zeros_like(scene.board)
+    if any(each is None for each in shown) or board is None:
         return Point(joint, eyes, None)
-    read = np.stack([each for each in shown if each is not None])
-    told = _perfect(index, task.board, panels.shape[1]) if task.board else np.zeros_like(board)
-    if told is None:
-        return Point(joint, eyes, None)
-    looked = np.stack([_looks(gate) for gate in task.gates])
-    return Point(joint, eyes, _chosen(reasoner, task, ReadScene(read, looked, told)) == task.target)
-
-
-def _chosen(reasoner: SmallReasoner, task: Task, scene: ReadScene) -> int:
-    reasoner._answered = (None, np.zeros(4, np.float32))
-    return int(reasoner._choose(task.instruction, scene)[:3].argmax())
+    perfect = ReadScene(
+        np.stack([each for each in shown if each is not None]), np.stack([_looks(gate) for gate in task.gates]), board
+    )
+    return Point(joint, eyes, int(reasoner.decide(task.instruction, perfect)[:3].argmax()) == task.target)
 
 
 def _fit(panels: NDArray[np.float32], wanted: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -33,6 +33,7 @@ from cognitivedrone.models.reasoner_file import (
     PanelReaderModel,
 )
 from cognitivedrone.models.small_file import SmallModel
+from cognitivedrone.models.words.concepts import CONCEPTS_FILE, ConceptsModel
 from cognitivedrone.models.words.text_encoder import FILE as ENCODER_FILE
 from cognitivedrone.models.words.text_encoder import TextEncoderModel
 from cognitivedrone.system import move_folder
@@ -148,6 +149,7 @@ _LOADERS: Final[dict[str, Any]] = {
     LANGUAGE_FILE: LanguageModel.load,
     ENCODER_FILE: TextEncoderModel.load,
     CLASSIFIER_FILE: PictureClassifier.load,
+    CONCEPTS_FILE: ConceptsModel.load,
     EYE_FILE: ObstacleEye.load,
 }
 

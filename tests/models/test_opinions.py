@@ -7,7 +7,7 @@ import pytest
 
 from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.eyes.opinions import NONE, Opinions, on_paper
-from cognitivedrone.models.eyes.picture_classifier import SIDE
+from cognitivedrone.models.eyes.picture_classifier import CLASSES, SIDE
 from cognitivedrone.types import COLORS
 
 NAMES = ("kind/thing", "concept/letter:A", "concept/thing:tiger", "concept/thing:zebra", "concept/thing:yeti")
@@ -28,7 +28,9 @@ class Sees:
     def shares(self, crops):
         self.asked.append(len(crops))
         answer = self.answers.pop(0) if self.answers else (0.0, 0.9)
-        return np.tile(np.array([[*answer, 0.0]], np.float32), (len(crops), 1))
+        classes = np.full((len(crops), CLASSES), 1e-3, np.float32)
+        classes[:, 0] = answer[0]
+        return np.tile(np.array([[*answer, 0.0]], np.float32), (len(crops), 1)), classes
 
 
 def boxes(*heights, u=(60, 128, 196)):
@@ -45,6 +47,16 @@ def test_an_opinion_is_given_for_the_color_of_the_gate():
     assert np.exp(arrays["opinions"][BLUE]) == pytest.approx([0.005, 0.905, 0.005])
     assert opinions.look(NOISE, boxes(30), [RED])
     assert opinions.arrays()["paper"].tolist() == [0.0, NONE, 1.0]
+
+
+def test_classes_are_remembered_by_color_too_and_all_alike_where_nothing_was_seen():
+    opinions = Opinions(Sees((0.9, 0.0), (0.1, 0.0)), SCHEMA)
+    opinions.look(WHITE, boxes(30), [BLUE])
+    opinions.look(WHITE, boxes(40), [BLUE])
+    blue, red = opinions.classes([BLUE, RED])
+    assert blue.sum() == pytest.approx(1, abs=1e-4)
+    assert blue[0] / blue[1] == pytest.approx(np.sqrt(0.9 * 0.1) / 1e-3, rel=0.01)  # the mean of logarithms
+    assert red == pytest.approx(1 / CLASSES)
 
 
 def test_a_panel_is_looked_at_again_once_it_has_grown_and_answers_are_averaged():

@@ -91,6 +91,12 @@ def made(monkeypatch, tmp_path):
     return make
 
 
+def beside_none(*answer):
+    """A selector's answer beside a language that prefers nothing: the other opinion makes it less sure."""
+    weighed = np.array(answer) ** 0.8
+    return weighed / weighed.sum()
+
+
 LETTERS = ("letter/A@inter", "letter/B@inter", "letter/C@inter")
 
 
@@ -123,7 +129,7 @@ def test_gates_are_told_from_left_to_right_whatever_slot_they_were_found_in(made
         "right gate, big blue triangle; letter C, consonant",
     ]
     assert guidance.directive == "Fly through the small green square gate"
-    assert (guidance.gate, guidance.confidence) == (1, pytest.approx(0.9, abs=1e-4))
+    assert (guidance.gate, guidance.confidence) == (1, pytest.approx(beside_none(0.05, 0.9, 0.05, 1e-6)[1], abs=1e-3))
     assert guidance.present is None  # the confidence counts it
 
 
@@ -239,7 +245,7 @@ def test_where_no_gate_shows_it_it_says_so_and_holds(made):
     guidance = reasoner.refine(FRAME, "to the letter Q")
     assert guidance.directive == HOLD
     assert guidance.gate is None
-    assert guidance.confidence == pytest.approx(0.95, abs=1e-4)
+    assert guidance.confidence == pytest.approx(beside_none(0.02, 0.02, 0.01, 0.95)[3], abs=1e-4)
     assert guidance.present == pytest.approx(1 - guidance.confidence)
 
 
@@ -311,8 +317,7 @@ def test_files_choose_decline_or_are_unsure(tmp_path):
 
     guidance = reasoner("chooses", 0, 0, 5, 0).refine(FRAME, "to the letter C")
     assert (guidance.directive, guidance.gate) == ("Fly through the big blue triangle gate", 2)
-    sure = np.exp(5)
-    assert guidance.confidence == pytest.approx(sure / (sure + 3), abs=1e-4)
+    assert guidance.confidence == pytest.approx(beside_none(1, 1, np.exp(5), 1)[2], abs=1e-4)
     assert reasoner("declines", 0, 0, 0, 5).refine(FRAME, "to the letter Q").directive == HOLD
     with pytest.raises(ReasonerError, match="no answer is likely"):
         reasoner("doubts", 0, 0, 0, 0).refine(FRAME, "to the letter C")
@@ -365,7 +370,7 @@ def test_displays_are_told_what_it_has_read_and_which_gate_it_takes_for_the_righ
     reasoner.refine(FRAME, "the B")
     assert [panel.shown for panel in reasoner.seen] == ["the letter A", "the letter B", "the letter C"]
     assert [panel.color for panel in reasoner.seen] == ["red", "green", "blue"]
-    assert [panel.right for panel in reasoner.seen] == pytest.approx((0.05, 0.9, 0.05), abs=1e-4)
+    assert [panel.right for panel in reasoner.seen] == pytest.approx(beside_none(0.05, 0.9, 0.05, 1e-6)[:3], abs=1e-3)
     assert [panel.readings[0][0] for panel in reasoner.seen] == ["letter A", "letter B", "letter C"]
     assert all(panel.readings[0][1] > 0.9 for panel in reasoner.seen)
     assert [panel.box for panel in reasoner.seen] == [(50, 100, 30), (130, 100, 30), (210, 100, 30)]
@@ -407,7 +412,7 @@ def test_language_hears_the_readings_from_left_to_right(made):
     for _ in range(2):
         with pytest.raises(ReasonerError, match="no answer is likely"):
             reasoner.refine(FRAME, "the sum on the board")
-    assert len(parts.asked) == len(parts.heard) == 1
+    assert len(parts.asked) == 1  # of a scene that reads the same, once
     instruction, panels, looks, board = parts.heard[0]
     assert instruction == "the sum on the board"
     concepts = INDEX.groups["concept"]

@@ -156,7 +156,8 @@ class LanguageModel:
     def __init__(self, session: Any, attributes: AttributeSchema, encoder: TextEncoderModel) -> None:
         self._session = session
         self.attributes = attributes
-        self._encoder = encoder
+        self.encoder = encoder
+        """Of its sentences."""
 
     @classmethod
     def load(cls, path: Path, *, threads: int = 1) -> LanguageModel:
@@ -179,7 +180,7 @@ class LanguageModel:
     def logits(self, instruction: str, panels: Floats, looks: Floats, board: Floats) -> Floats:
         """(4,), for a scene's readings: panels (3, F), looks (3, 8), and board (F,), zero where there is none."""
         inputs = {
-            "words": self._encoder.words(instruction),
+            "words": self.encoder.words(instruction),
             "panels": panels,
             "looks": looks,
             "board": board,

@@ -33,15 +33,17 @@ from cognitivedrone.models.reasoner_file import (
     PanelReading,
     shares_of,
 )
-from cognitivedrone.models.words.scene_tokens import SceneText, stacked
+from cognitivedrone.models.words.concepts import Concepts, ConceptsModel, concepts_of, evidence
+from cognitivedrone.models.words.scene_tokens import SceneText
 from cognitivedrone.reasoners.scene_text import STAGES, ReadScene, SceneWriter, gate_of
 from cognitivedrone.tasks.directives import HOLD, looks_asked, write_directive
 from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Guidance, Image, SeenPanel
 
 _SEEN = 0.3  # minimum score of a visible gate or board
-_LIKELY = 0.5  # an answer that is less likely than not is none; the gate selector's probabilities are calibrated
-_WEIGHED = 6  # things that a panel may show
-_NONE = -1.5  # evidence of no gate: what a panel shows may be none of these things
+_LIKELY, _NAMED = 0.5, 0.4  # least probability of the answer that no gate matches, and of one that names a gate
+_SELECTOR, _OTHERS = 0.8, 0.2  # weights of opinions; set, not learnt
+_LEAST, _FAINT = 1e-6, 1e-4  # shares of an answer and of a thing that are not ruled out
+_OF_THINGS = ("kind/thing", "kind/unknown")
 _SAID = 4  # readings of a panel for displays
 _LEGIBLE_PX = 8.0  # panels lower than this are illegible
 
@@ -95,12 +97,19 @@ class SmallReasoner(Reasoner):
         if self.reader.classifier:
             classifier = PictureClassifier.load(classifier_of(place / READER_FILE))
             self._opinions = Opinions(classifier, self.reader.attributes)
+        self.concepts: Concepts | None = None
+        """What sentences are taken for; none without a photograph network, or a table that its text encoder read."""
+        path = concepts_of(place / READER_FILE)
+        table = ConceptsModel.load(path)
+        if self.reader.classifier and (table.digest == self.language.encoder.digest or path.parent == place):
+            things = [self.reader.attributes.names[column] for column in self.reader.attributes.things]
+            self.concepts = Concepts(table, self.language.encoder, things)
         self._writer = SceneWriter(self.reader.attributes, self.selector.notes)
         self._size = len(self.reader.attributes.names)
         self._stage = self._new()
         self._earlier: list[list[tuple[Floats, int]]] = []
         self._answered: tuple[SceneText | None, Floats] = (None, np.zeros(4, np.float32))
-        """The scene that was asked about last, in words, and the answer."""
+        """The scene that the selector was asked about last, in words, and its answer."""
 
     @classmethod
     def file_of(cls, folder: Path | str | None = None) -> Path:
@@ -142,25 +151,19 @@ class SmallReasoner(Reasoner):
         """The directive for the selected gate, from all frames of this stage so far.
 
         It declines where most likely no gate matches the instruction. Raises `ReasonerError` if fewer than three gates
-        have been seen, or no answer is more likely than all others together: then the policy knows no less.
+        have been seen, or no answer is likely: then the policy knows no less.
         """
-        self._add(self._see(image))
+        self.look(image)
         gates = _by_place(self._stage)
-        panels = self._shown(gates)
-        self.seen = self._seen(gates, panels)
+        self.seen = self._seen(gates, self._shown(gates))
         if len(gates) < 3:
             raise ReasonerError("unsure", f"only {len(gates)} of 3 gates have been in view")
-        scene = ReadScene(
-            panels=panels,
-            looks=np.stack([gate.looks / gate.weight for _, gate in gates]),
-            board=self._board(),
-            earlier=self._earlier[-STAGES:],
-        )
-        chosen = self._choose(instruction, scene)
+        _, scene, classes = self.read()
+        chosen = self.decide(instruction, scene, classes)
         self.seen = tuple(replace(panel, right=float(p)) for panel, p in zip(self.seen, chosen, strict=False))
         best = int(chosen.argmax())
         certainty = float(chosen[best])
-        if certainty < _LIKELY:
+        if certainty < (_NAMED if best < len(gates) else _LIKELY):
             raise ReasonerError("unsure", f"no answer is likely; I see {self._described(scene.panels)}")
         if best == len(gates):
             # What was not read may be what is asked for.
@@ -172,53 +175,53 @@ class SmallReasoner(Reasoner):
         # The probability of a gate counts that none may match already, so that is not estimated apart.
         return Guidance(write_directive(gate_of(scene.looks[best])), best, certainty)
 
-    def _choose(self, instruction: str, scene: ReadScene) -> Floats:
-        """Probabilities (4,) of the gates and of none; they are asked for again only when the scene reads otherwise.
+    def look(self, image: Image) -> None:
+        """Add the readings of a frame (256, 256, 3) to those of the stage."""
+        self._add(self._see(image))
 
-        Where the sentence names a gate by its looks alone, nothing but the looks decides.
+    def read(self) -> tuple[Sequence[int], ReadScene, Floats | None]:
+        """What the frames of this stage have shown so far, gates from left to right: their colours by number, the
+        scene, and the photograph network's classes of their panels (n, C), if it is asked.
+        """
+        gates = _by_place(self._stage)
+        colors = [color for color, _ in gates]
+        looks = [gate.looks / gate.weight for _, gate in gates] or [np.zeros(LOOKS, np.float32)]
+        scene = ReadScene(self._shown(gates), np.stack(looks), self._board(), earlier=self._earlier[-STAGES:])
+        return colors, scene, None if self._opinions is None else self._opinions.classes(colors)
 
-        Where the selector, which reads the scene in words, finds no answer likelier than not, two more opinions count
-        as much: its own, weighed over what each panel may show, and the language's, which weighs every reading of each
-        gate by itself, and errs elsewhere.
+    def decide(self, instruction: str, scene: ReadScene, classes: Floats | None = None) -> Floats:
+        """Probabilities (4,) of the gates and of none, for what was read and, per panel, the photograph network's
+        classes (3, C).
+
+        Where the sentence names a gate by its looks alone, nothing but the looks decides. Else four opinions are
+        multiplied: the selector's, which reads the scene in words and alone knows how gates compare; a quarter as
+        much the language's, which weighs every reading of each gate by itself; and where the panels show things, how
+        well what the reader and the photograph network see fits the sentence, in concepts that no training has named.
         """
         if (asked := looks_asked(instruction)) is not None:
             return _fitting(asked, scene.looks)
         text = self._writer.write(instruction, scene)
-        if text != self._answered[0]:
-            chosen = self.selector.choose(text)
-            if float(chosen.max()) < _LIKELY:
-                heard = self.language.logits(instruction, scene.panels, scene.looks, scene.board)
-                chosen = chosen * self._weighed(instruction, scene) * shares_of(heard[None])[0]
-                chosen /= chosen.sum()
-            self._answered = text, chosen
-        return self._answered[1]
+        if text != self._answered[0]:  # the selector costs most, and is asked again only when the scene reads otherwise
+            self._answered = text, self.selector.choose(text)
+        heard = self.language.logits(instruction, scene.panels, scene.looks, scene.board)
+        told = _SELECTOR * np.log(self._answered[1] + _LEAST) + _OTHERS * np.log(shares_of(heard[None])[0] + _LEAST)
+        if classes is not None and self.concepts is not None and self._shows_things(scene.panels):
+            things, fits = self.concepts.fits(instruction)
+            shares = scene.panels[:, list(self.reader.attributes.things)] + _FAINT
+            for seen, fit in ((shares / shares.sum(axis=1, keepdims=True), things), (classes, fits)):
+                likely = evidence(seen, fit)
+                none = np.log(np.exp(likely).mean())  # it is as likely as the gates are in the mean
+                told[:3] += _OTHERS * (likely - none)
+        chosen: Floats = shares_of(told[None])[0]
+        return chosen
 
-    def _weighed(self, instruction: str, scene: ReadScene) -> Floats:
-        """Probabilities (4,) of the gates and of none, weighed over what each panel may show.
-
-        A faint reading is not worth a word in the scene, but may be the only one that fits. So every panel is taken for
-        each of its likeliest things in turn; a gate's evidence is log sum_v p(v | panel) exp(s(instruction, v)), where
-        s is the log-odds of a gate that shows v against none. What else it may show counts as much as no gate does.
-        """
+    def _shows_things(self, panels: Floats) -> bool:
+        """Whether panels (n, F) show animals, foods and objects rather than letters, people, sums or the like."""
         attributes = self.reader.attributes
-        concepts = attributes.groups["concept"]
-        shares = scene.panels[:, concepts]
-        likeliest = np.argsort(-shares, axis=1)[:, :_WEIGHED]
-        texts = []
-        for number in range(_WEIGHED):
-            panels = np.zeros_like(scene.panels)
-            for row, index in enumerate(likeliest[:, number]):
-                panels[row, concepts.start + index] = 1.0
-                kind = f"kind/{attributes.names[concepts.start + index].partition('/')[2].partition(':')[0]}"
-                panels[row, attributes.names.index(kind)] = 1.0
-            texts.append(self._writer.write(instruction, replace(scene, panels=panels)))
-        logits = self.selector.logits(stacked([self.selector.tokenizer.encode(text.parts) for text in texts]))
-        odds = logits[:, :3] - logits[:, 3:]
-        weights = np.take_along_axis(shares, likeliest, axis=1).T
-        rest = np.maximum(1 - weights.sum(axis=0), 0.0)  # anything else: it says nothing
-        evidence = np.log((weights * np.exp(odds)).sum(axis=0) + rest * np.exp(_NONE) + 1e-9)
-        shares_of_gates: Floats = shares_of(np.array([[*evidence, _NONE]], np.float32))[0]
-        return shares_of_gates
+        kinds = attributes.groups["kind"]
+        others = [place for place in range(kinds.start, kinds.stop) if attributes.names[place] not in _OF_THINGS]
+        share: float = panels[:, others].sum(axis=1).mean()
+        return share < _LIKELY
 
     def _shown(self, gates: Sequence[tuple[int, _Gate]]) -> Floats:
         """(n, F): what the panels of gates show, by all frames so far."""

@@ -17,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.models.attributes import AttributeSchema
-from cognitivedrone.models.eyes.picture_classifier import crop_of, paper_share
+from cognitivedrone.models.eyes.picture_classifier import CLASSES, crop_of, paper_share
 from cognitivedrone.types import COLORS, Image
 
 NONE = -1.0
 """The `paper` of a gate without opinion."""
 _FLOOR = 0.005  # added to the classifier's probabilities, and that of a thing that it cannot name
+_RAREST = 1e-6  # the same for one of its classes
 _PAPER = (0.05, 0.2)  # share of paper up to which a picture fills its panel, and from which it is a drawing on paper
 _SMALLEST_PX = 16.0  # lower panels are not looked at
 _GROWN = 1.15  # since it was looked at last
@@ -39,8 +40,8 @@ class Classifier(Protocol):
         """Of the things that it distinguishes, as attribute values."""
         ...
 
-    def shares(self, crops: NDArray[np.uint8]) -> Floats:
-        """Probabilities (n, names) for crops (n, SIDE, SIDE, 3)."""
+    def shares(self, crops: NDArray[np.uint8]) -> tuple[Floats, Floats]:
+        """Probabilities (n, names) and (n, CLASSES) for crops (n, SIDE, SIDE, 3)."""
         ...
 
 
@@ -53,6 +54,7 @@ class _Panel:
     asked_px: float
     """Height when it was looked at last; 0 if never."""
     opinion: NDArray[np.float64]
+    classes: NDArray[np.float64]
     paper: float = 0.0
     answers: int = 0
 
@@ -85,6 +87,17 @@ class Opinions:
                 opinions[color], paper[color] = panel.opinion / panel.answers, panel.paper / panel.answers
         return {"opinions": opinions, "paper": paper}
 
+    def classes(self, colors: Sequence[int]) -> Floats:
+        """(n, CLASSES): what the panels of n gates show, as probabilities; all alike where there is no opinion."""
+        told = np.zeros((len(colors), CLASSES))
+        for row, color in enumerate(colors):
+            panel = self._panels.get(color)
+            if panel is not None and panel.answers:
+                told[row] = panel.classes / panel.answers
+        shares = np.exp(told - told.max(axis=1, keepdims=True))
+        found: Floats = (shares / shares.sum(axis=1, keepdims=True)).astype(np.float32)
+        return found
+
     def look(self, image: Image, boxes: Floats, colors: Sequence[int], most: int = len(COLORS)) -> bool:
         """Ask about panels (n, 3) of a frame (256, 256, 3): centre and height, pixels, and their gates' colours.
 
@@ -103,12 +116,13 @@ class Opinions:
         asked = sorted(grown, key=lambda each: -each[0])[:most]
         if not asked:
             return False
-        shares = self._classifier.shares(np.stack([crop for _, _, crop in asked]))
-        for (_, color, crop), share in zip(asked, shares, strict=True):
+        answers = self._classifier.shares(np.stack([crop for _, _, crop in asked]))
+        for (_, color, crop), share, classes in zip(asked, *answers, strict=True):
             panel = self._panels[color]
             found = np.full(len(self._attributes.things), _FLOOR)
             found[self._into] += share[self._from]
             panel.opinion += np.log(found)
+            panel.classes += np.log(classes + _RAREST)
             panel.paper += on_paper(crop)
             panel.answers += 1
             panel.asked_px = panel.place[2]
@@ -122,7 +136,8 @@ class Opinions:
             if max(abs(known.place[0] - place[0]), abs(known.place[1] - place[1])) <= limit:
                 known.place = place
                 return known
-        found = self._panels[color] = _Panel(place, 0.0, np.zeros(len(self._attributes.things)))
+        things = np.zeros(len(self._attributes.things))
+        found = self._panels[color] = _Panel(place, 0.0, things, np.zeros(CLASSES))
         return found
 
 

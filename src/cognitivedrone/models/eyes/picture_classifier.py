@@ -20,6 +20,8 @@ from cognitivedrone.types import IMAGE_SIZE, Image
 
 CLASSIFIER_FILE: Final = "picture_classifier.onnx"
 CLASSIFIER: Final = "picture-classifier"
+CLASSES: Final = 1000
+"""That it tells apart; some of them are things of our vocabulary."""
 SIDE: Final = 144
 """Height and width of the crops that it sees, pixels."""
 _MARGIN = 1.06  # of a crop around the panel's height
@@ -48,16 +50,18 @@ class PictureClassifier:
         check_graph(
             session,
             {"crops": ("tensor(uint8)", (SIDE, SIDE, 3))},
-            {"shares": ("tensor(float)", (len(names),))},
+            {"shares": ("tensor(float)", (len(names),)), "classes": ("tensor(float)", (CLASSES,))},
             str(path),
         )
         return cls(session, names)
 
-    def shares(self, crops: NDArray[np.uint8]) -> Floats:
-        """Probabilities (n, things) for crops (n, SIDE, SIDE, 3); what is missing to 1 is something else."""
-        (shares,) = numbers_of(self._session, ("shares",), {"crops": crops}, "the picture classifier")
-        found: Floats = shares
-        return found
+    def shares(self, crops: NDArray[np.uint8]) -> tuple[Floats, Floats]:
+        """Probabilities (n, things) and (n, CLASSES) for crops (n, SIDE, SIDE, 3).
+
+        What is missing to 1 in those of the things is something else; the classes are the network's own.
+        """
+        shares, classes = numbers_of(self._session, ("shares", "classes"), {"crops": crops}, "the picture classifier")
+        return shares, classes
 
 
 def classifier_of(model: Path) -> Path:

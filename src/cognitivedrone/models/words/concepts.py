@@ -1,0 +1,116 @@
+"""What a sentence may mean, in concepts: how well every thing and class that can be seen fits the words.
+
+The concepts are the things of the panel reader and the classes of the picture classifier, with their names and
+definitions (`training/reasoner/concepts.csv`). Contract of the graph; the batch is a dynamic axis: input `meaning`
+float32 (batch, W), what a sentence means to the text encoder; output `fits` float32 (batch, T + C), the mean cosine
+with name and definition of T things, then of C classes. The description holds their names, the width, and the digest
+of the text encoder that read the table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cognitivedrone.errors import ModelError
+from cognitivedrone.models.onnx_file import check_graph, count_of, field_of, numbers_of, open_model
+from cognitivedrone.models.words.text_encoder import TextEncoderModel
+
+CONCEPTS: Final = "concepts"
+CONCEPTS_FILE: Final = "concepts.onnx"
+_NEAR = 0.04  # difference in cosine at which a concept counts e times less than one that fits better
+_LEAST = 1e-6  # likelihood that no panel falls below
+
+Floats = NDArray[np.float32]
+
+
+class ConceptsModel:
+    """The table of concepts, run by ONNX Runtime on the CPU."""
+
+    def __init__(self, session: Any, things: Sequence[str], classes: Sequence[str], digest: str) -> None:
+        self._session = session
+        self.things = tuple(things)
+        """Attribute values ("concept/thing:koala")."""
+        self.classes = tuple(classes)
+        """Names, in the picture classifier's order."""
+        self.digest = digest
+
+    @classmethod
+    def load(cls, path: Path, *, threads: int = 1) -> ConceptsModel:
+        """Load a file; raises `ModelError` where it is missing, broken or of another kind."""
+        session, table = open_model(path, CONCEPTS, threads=threads, optimise=True)
+        where = str(path)
+        things, classes = (field_of(table, name, list, where) for name in ("things", "classes"))
+        if not all(isinstance(name, str) for name in (*things, *classes)) or len(set(things)) < len(things):
+            raise ModelError(f"the concepts in {where} contain an entry that is not a name, or one thing twice")
+        check_graph(
+            session,
+            {"meaning": ("tensor(float)", (count_of(table, "size", where),))},
+            {"fits": ("tensor(float)", (len(things) + len(classes),))},
+            where,
+        )
+        return cls(session, things, classes, field_of(table, "digest", str, where))
+
+    def fits(self, meaning: Floats) -> Floats:
+        """(n, T + C) for the meanings (n, W) of sentences."""
+        (fits,) = numbers_of(self._session, ("fits",), {"meaning": meaning}, "the table of concepts")
+        found: Floats = fits
+        return found
+
+
+class Concepts:
+    """The concepts for one reader: its things in its own order, whether they stand in the table or were taught."""
+
+    def __init__(self, model: ConceptsModel, encoder: TextEncoderModel, things: Sequence[str]) -> None:
+        """`things` are attribute values. Raises `ModelError` where another text encoder read the table."""
+        if model.digest != encoder.digest:
+            raise ModelError(
+                f"{CONCEPTS_FILE} was made with another text encoder; take both from one release, or export again"
+            )
+        self._model, self._encoder = model, encoder
+        known = {name: place for place, name in enumerate(model.things)}
+        self._places = np.array([known.get(name, 0) for name in things], np.intp)
+        self._taught = [row for row, name in enumerate(things) if name not in known]
+        names = [things[row].partition(":")[2].replace("_", " ") for row in self._taught]
+        self._meanings = encoder.meanings(names) if names else np.zeros((0, encoder.size), np.float32)
+        self._names = [*(name.partition(":")[2].replace("_", " ") for name in things), *model.classes]
+        self._heard = ("", np.zeros(0, np.float32))
+
+    @property
+    def heard(self) -> tuple[tuple[str, float], ...]:
+        """What the last sentence was taken for: the concepts that fit it best, with their cosines."""
+        fits = self._heard[1]
+        best: dict[str, float] = {}
+        for place in np.argsort(-fits).tolist()[:6]:
+            best.setdefault(self._names[place], float(fits[place]))
+        return tuple(best.items())[:3]
+
+    def fits(self, instruction: str) -> tuple[Floats, Floats]:
+        """How well the things and the classes fit a sentence: (things,) and (C,) cosines."""
+        if self._heard[0] != instruction:
+            meaning = self._encoder.meanings([instruction])
+            fits = self._model.fits(meaning)[0]
+            things = fits[self._places]
+            things[self._taught] = self._meanings @ meaning[0]
+            self._heard = instruction, np.concatenate([things, fits[len(self._model.things) :]])
+        count = len(self._places)
+        return self._heard[1][:count], self._heard[1][count:]
+
+
+def evidence(shares: Floats, fits: Floats) -> Floats:
+    """(n,): log sum_v p(v | panel) exp((s(v) - max s) / t), for what panels may show (n, V) and how it fits (V,)."""
+    told: Floats = np.log(shares @ np.exp((fits - fits.max()) / np.float32(_NEAR)) + np.float32(_LEAST))
+    return told
+
+
+def concepts_of(model: Path) -> Path:
+    """The table of concepts of a model's file: the one beside it, or the packaged one."""
+    beside = model.parent / CONCEPTS_FILE
+    return (
+        beside if beside.is_file() else Path(str(resources.files("cognitivedrone.models"))) / "weights" / CONCEPTS_FILE
+    )

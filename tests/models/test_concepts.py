@@ -1,0 +1,96 @@
+"""What sentences are taken for: the table of concepts, and what it says of panels."""
+
+from __future__ import annotations
+
+from importlib import resources
+
+import numpy as np
+import pytest
+
+from cognitivedrone.errors import ModelError, TrainingError
+from cognitivedrone.models.words.concepts import CONCEPTS_FILE, Concepts, ConceptsModel, evidence
+from cognitivedrone.models.words.text_encoder import TextEncoderModel
+
+PACKAGED = resources.files("cognitivedrone.models") / "weights" / CONCEPTS_FILE
+THINGS = ("concept/thing:koala", "concept/thing:hammer", "concept/thing:fire_engine", "concept/thing:grey_crane")
+
+
+@pytest.fixture(scope="module")
+def model():
+    return ConceptsModel.load(PACKAGED)
+
+
+@pytest.fixture(scope="module")
+def concepts(model):
+    return Concepts(model, TextEncoderModel.load(), THINGS)
+
+
+@pytest.mark.parametrize(
+    ("sentence", "thing"),
+    [
+        ("Fly to the koala", 0),
+        ("Fly to the marsupial that eats eucalyptus leaves", 0),
+        ("Fly through the gate with what drives nails into wood", 1),
+        ("what comes when a house burns", 2),
+        ("to the gate with the grey crane", 3),  # it stands in no table: its name alone is read
+    ],
+)
+def test_a_sentence_fits_what_it_means_best(concepts, sentence, thing):
+    things, classes = concepts.fits(sentence)
+    assert (things.shape, classes.shape) == ((4,), (1000,))
+    assert things.argmax() == thing
+
+
+def test_a_concept_that_no_thing_stands_for_is_heard(concepts):
+    _, classes = concepts.fits("Fly to the gate with the great white shark")
+    assert classes.argmax() == 2
+    assert concepts.heard[0][0] == "great white shark"
+    assert len(dict(concepts.heard)) == 3
+
+
+@pytest.mark.parametrize("sentence", ["", "qwxz vrrk", "Лети к коале", "fly " * 250])
+def test_any_sentence_has_some_fit(concepts, sentence):
+    for fits in concepts.fits(sentence):
+        assert np.isfinite(fits).all()
+
+
+def test_evidence_is_for_the_panel_that_shows_what_fits():
+    shares = np.array([[0.8, 0.1, 0.1], [0.1, 0.8, 0.1], [1 / 3, 1 / 3, 1 / 3]], np.float32)
+    told = evidence(shares, np.array([0.2, 0.6, 0.1], np.float32))
+    assert told.argmax() == 1
+    assert told == pytest.approx(np.log([0.1, 0.8, 1 / 3]), abs=1e-3)
+
+
+def test_a_table_that_another_encoder_read_is_refused(model):
+    other = TextEncoderModel.load()
+    other.digest = "0" * 64
+    with pytest.raises(ModelError, match="made with another text encoder"):
+        Concepts(model, other, THINGS)
+
+
+def test_the_packaged_table_is_that_of_the_file(model):
+    pytest.importorskip("torch")
+    from cognitivedrone.training.reasoner.classifier import concepts
+
+    table = concepts()
+    assert [f"concept/thing:{each.name}" for each in table if each.kind == "thing"] == list(model.things)
+    assert [each.name for each in table if each.kind == "class"] == list(model.classes)
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("thing,cat,281,an animal\nthing,cat,,a pet", "'cat' twice"),
+        ("thing,cat,281,", "line 2: needs the kind"),
+        ("thing,cat,1000,an animal", "'1000' are no classes"),
+        ("thing,cat,x-y,an animal", "'x-y' are no classes"),
+        ("beast,cat,,an animal", "line 2: needs the kind"),
+        ("thing,cat,,an animal", "one line of kind class for every class"),
+    ],
+)
+def test_a_broken_table_is_refused_in_a_sentence(line, says):
+    pytest.importorskip("torch")
+    from cognitivedrone.training.reasoner.classifier import concepts
+
+    with pytest.raises(TrainingError, match=says):
+        concepts(f"kind,name,classes,definition\n{line}\n")
