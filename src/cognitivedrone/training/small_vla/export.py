@@ -21,11 +21,13 @@ from cognitivedrone.models.eyes.panel_reader import ReaderConfig
 from cognitivedrone.models.onnx_file import LARGEST_BYTES, Provenance
 from cognitivedrone.models.small_file import ActionStatistics, Description, SmallModel, describe
 from cognitivedrone.models.small_vla import STATE, SmallVLA, SmallVLAConfig
+from cognitivedrone.models.words.concepts import CONCEPTS_FILE
 from cognitivedrone.models.words.gate_selector import SelectorConfig
 from cognitivedrone.models.words.language import PARTS, LanguageConfig
 from cognitivedrone.models.words.scene_tokens import LENGTHS
 from cognitivedrone.models.words.text_encoder import FILE, packaged_encoder
 from cognitivedrone.policies.expert import ExpertConfig
+from cognitivedrone.training.small_vla.concepts import write_concepts
 from cognitivedrone.training.small_vla.graph import opinions_example, write_encoder, write_onnx, write_reasoner_parts
 from cognitivedrone.training.small_vla.language.described import LanguageLoss, LanguageNetwork
 from cognitivedrone.training.small_vla.sampling import SampleSource, StreamRecipe
@@ -77,9 +79,13 @@ def export(
 
 
 def copy_encoder(encoder: Path | None, folder: Path) -> None:
-    """Put the text encoder beside a policy's file, if it is not the packaged one or there already."""
+    """Put the text encoder and the concepts that it read beside a policy's file, if it is not the packaged one or there
+    already.
+    """
     if encoder is not None and encoder.resolve() not in (packaged_encoder().resolve(), (folder / FILE).resolve()):
-        replace_file(folder / FILE, read_regular(encoder, LARGEST_BYTES))
+        for path in (encoder, encoder.with_name(CONCEPTS_FILE)):
+            if path.is_file():
+                replace_file(folder / path.name, read_regular(path, LARGEST_BYTES))
 
 
 def write_policy(
@@ -175,7 +181,9 @@ def action_statistics(
 
 
 def export_language(checkpoint: Path, folder: Path, temperature: Callable[[LanguageLoss], float]) -> None:
-    """Write the text encoder to `folder`; calibrate the language in the checkpoint by `temperature`."""
+    """Write the text encoder, and the concepts as it reads them, to `folder`; calibrate the language in the checkpoint
+    by `temperature`.
+    """
     tensors, facts = read_checkpoint(checkpoint)
     sizes = facts["recipe"]["network"]
     network = LanguageNetwork(
@@ -189,4 +197,5 @@ def export_language(checkpoint: Path, folder: Path, temperature: Callable[[Langu
     network.language.temperature.fill_(1.0)
     network.language.temperature.fill_(temperature(LanguageLoss(network, schema)))
     digest = write_encoder(network.encoder, facts["pieces"], provenance_of(facts), folder)
+    write_concepts(folder)
     save_checkpoint(checkpoint, network, None, {**facts, "encoder": digest})
