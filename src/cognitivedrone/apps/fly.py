@@ -8,7 +8,6 @@ import statistics
 import sys
 from collections.abc import Callable, Collection, Sequence
 from contextlib import ExitStack, closing
-from dataclasses import replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -44,10 +43,10 @@ from cognitivedrone.control.passage import Passage, WatchedDrone
 from cognitivedrone.control.planning import Plans, plans_with
 from cognitivedrone.control.second_look import SecondLook
 from cognitivedrone.data.formats.bags import Ros
-from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
+from cognitivedrone.envs.track_runner import TrackConfig, episode_rng
 from cognitivedrone.errors import GroundTruthError, NotUnderstood, ReasonerError
 from cognitivedrone.film.frame import Scene, scenes_of
-from cognitivedrone.interfaces import Drone, Reasoner
+from cognitivedrone.interfaces import Drone
 from cognitivedrone.labels import load_pack
 from cognitivedrone.models.small_file import SmallModel
 from cognitivedrone.pilot import Pilot, open_pilot
@@ -61,13 +60,6 @@ from cognitivedrone.vehicles.contract import ClockedDrone, Pace, Request, Vehicl
 
 CONFIRMATION = "arm"
 REDRAWN_HZ = 5
-SCENES = 24
-"""Maximum number of scenes that are made until the pilot can read one."""
-READ = 0.7
-"""Certainty from which the pilot can read a scene."""
-NEARER_M = 1.5
-"""A scene is read from the start, and from so far ahead of it: a picture that is taken for another thing may be guessed
-right from one place, when the others are surely not what is asked for."""
 STOP_S, HOVER_M_S = 3.0, 0.2
 """After the last gate it has so long to stop; slower than this is a hover."""
 NO_PADS = "pads are landed on with --link sim only; say 'then land', and it lands where it is"
@@ -103,7 +95,6 @@ def fly_mission(
         ros = Ros() if plan.record == "mcap" else None
         understanding = Understanding(own_names(plan.scenario.labels), _words_of(pilot), _taught(pilot))
         evidence = Evidence.of(understanding, pilot)
-        given = scene is not None
         if scene is None:
             plan, scene = _scene(plan, evidence, console, keyboard)
         else:
@@ -113,7 +104,7 @@ def fly_mission(
         try:
             with closing(_open(plan, out, pace, down=pilot.policy.needs_down_camera)) as vehicle:
                 if scene is not None:
-                    scene = _begin(plan, vehicle, pilot, scene, evidence, given=given)
+                    vehicle.begin(scene.track, episode_rng(scene.suite.digest, scene.episode, plan.scenario.seed))
                     say(console, scene.summary)
                 mission = plan.instruction.strip() or (scene and scene.track[0].mission) or ""
                 if is_mission(goals := plans(mission)):
@@ -162,7 +153,7 @@ def _scene(plan: FlyPlan, evidence: Evidence, console: Console, keyboard: TextIO
             scene = None
             _check_mission(plan.instruction, pads=plan.vehicle.kind != "mavlink")
             if plan.vehicle.kind != "mavlink":
-                scene = choose_scene(plan, evidence.understanding)
+                scene = choose_scene(plan, evidence)
             check_evidence(evidence, scene, plan.instruction.strip())
             return plan, scene
         except NotUnderstood as error:
@@ -196,70 +187,6 @@ def _planned(plan: FlyPlan, pilot: Pilot, scene: ChosenScene | None) -> Plans:
         return plans_with(pilot.reasoner, mission)
     except ReasonerError as error:
         raise NotUnderstood(f"the mission was not planned: {error}; say it in other words") from None
-
-
-def _begin(
-    plan: FlyPlan, vehicle: Vehicle, pilot: Pilot, scene: ChosenScene, evidence: Evidence, *, given: bool
-) -> ChosenScene:
-    """Begin in the scene, or, where it was made, in the first of some alike that the pilot can read."""
-    reasoner, track = pilot.reasoner, vehicle.track_runner
-    made = scene.instruction and plan.vehicle.kind == "sim" and not given
-    if not made or track is None or not isinstance(reasoner, SmallReasoner):
-        _place(plan, vehicle, scene)
-        return scene
-    best = (-1.0, 0)
-    for attempt in range(SCENES):
-        tried = choose_scene(plan, evidence.understanding, attempt)
-        best = max(best, (_readable(plan, vehicle, track, reasoner, evidence, tried), -attempt))
-        if best[0] >= READ:
-            break
-    chosen = choose_scene(plan, evidence.understanding, -best[1])
-    _place(plan, vehicle, chosen)
-    return chosen
-
-
-def _readable(
-    plan: FlyPlan,
-    vehicle: Vehicle,
-    track: TrackRunner,
-    reasoner: SmallReasoner,
-    evidence: Evidence,
-    scene: ChosenScene,
-) -> float:
-    """How surely the pilot finds the right gate at every stage of a scene, from the start and from nearer: the least.
-
-    The views of a scene that is read badly already are not all drawn. The world is left at any of them.
-    """
-    least = 1.0
-    for stage, task in enumerate(scene.track):
-        if task.landing:
-            continue
-        _place(plan, vehicle, scene)  # draws start and appearance
-        start = track.start
-        x, y, z = start.position
-        asked = scene.instruction if stage == 0 else plain_instruction(evidence, scene, task.instruction)
-        reader = reasoner.fork()
-        for ahead in (0.0, NEARER_M):
-            near = replace(start, position=(x + ahead * math.cos(start.yaw), y + ahead * math.sin(start.yaw), z))
-            track.begin((task,), np.random.default_rng(0), near, track.appearance)
-            least = min(least, certainty(reader, track, asked or task.instruction))
-            if least < READ:
-                return least
-    return least
-
-
-def _place(plan: FlyPlan, vehicle: Vehicle, scene: ChosenScene) -> None:
-    vehicle.begin(scene.track, episode_rng(scene.suite.digest, scene.episode, plan.scenario.seed))
-
-
-def certainty(reasoner: Reasoner, track_runner: TrackRunner, instruction: str) -> float:
-    """How surely a reasoner without memory finds the right gate in the view of now; 0 if it finds another or none."""
-    try:
-        found = reasoner.refine(track_runner.world.frame(), instruction)
-    except ReasonerError:
-        return 0.0
-    right = found.gate == track_runner.task.target
-    return found.confidence * (1.0 if found.present is None else found.present) * right
 
 
 def _open(plan: FlyPlan, out: Path, pace: Pace, *, down: bool) -> Vehicle:

@@ -40,7 +40,7 @@ from cognitivedrone.tasks.directives import HOLD, looks_asked, write_directive
 from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Guidance, Image, SeenPanel
 
 _SEEN = 0.3  # minimum score of a visible gate or board
-_LIKELY, _NAMED = 0.5, 0.4  # least probability of the answer that no gate matches, and of one that names a gate
+_LIKELY, _NAMED = 0.5, 0.34  # least probability of the answer that no gate matches; of a gate, better than a guess
 _SELECTOR, _OTHERS = 0.8, 0.2  # weights of opinions; set, not learnt
 _LEAST, _FAINT = 1e-6, 1e-4  # shares of an answer and of a thing that are not ruled out
 _OF_THINGS = ("kind/thing", "kind/unknown")

@@ -12,7 +12,10 @@ from dataclasses import dataclass
 
 from cognitivedrone.apps.understanding import lexicon
 from cognitivedrone.apps.understanding.request import Request, Understanding
+from cognitivedrone.models.words.concepts import Concepts
 from cognitivedrone.pilot import Pilot
+from cognitivedrone.reasoners.small import SmallReasoner
+from cognitivedrone.tasks.facts import KIND_OF
 
 LANGUAGE = "the pilot knows English, and names of common things and colours in German, French, Spanish and Italian"
 _EXAMPLE = "say what to fly to, such as 'fly to the dog'"
@@ -25,11 +28,24 @@ class Evidence:
     understanding: Understanding
     english: bool = True
     """Whether the pilot reads English alone; which words another one knows is not known here."""
+    concepts: Concepts | None = None
+    """What the pilot takes sentences for, if it says."""
 
     @classmethod
     def of(cls, understanding: Understanding, pilot: Pilot) -> Evidence:
         """For a pilot: its reasoner reads the sentence, if it has one."""
-        return cls(understanding, (pilot.reasoner or pilot.policy).reads_english_only)
+        concepts = pilot.reasoner.concepts if isinstance(pilot.reasoner, SmallReasoner) else None
+        return cls(understanding, (pilot.reasoner or pilot.policy).reads_english_only, concepts)
+
+    def request(self, sentence: str) -> Request:
+        """What a sentence asks for: by its words, or else the thing that it means to the pilot."""
+        request = self.understanding.understand(sentence)
+        meant = None if request.understood or request.note or not self.concepts else self.concepts.meant(sentence)
+        if meant is None:
+            return request
+        kind = KIND_OF[meant[0]]
+        wrong = frozenset(f"{kind}/{other}" for other in meant[1] if KIND_OF[other] == kind)
+        return Request(sentence, frozenset({f"{kind}/{meant[0]}"}), wrong)
 
     def problem(self, sentence: str) -> str:
         """Why a person's sentence is not flown, for that person; empty if it says something to the pilot.
@@ -38,7 +54,7 @@ class Evidence:
         """
         if not self.english:
             return ""
-        request = self.understanding.understand(sentence)
+        request = self.request(sentence)
         typed = self.understanding.typed(sentence)
         if request.understood or not lexicon.things(self.understanding.names_of_own).isdisjoint(typed):
             return ""
@@ -55,6 +71,11 @@ class Evidence:
         if not self.english or not typed or any(word in known or word.isdecimal() for word in typed):
             return ""
         return f"the task's instruction {sentence!r} has no word that the pilot knows; {LANGUAGE}"
+
+    def unclear(self, request: Request) -> bool:
+        """Whether no thing stands out in what the pilot takes a sentence for that asks for things."""
+        things = any(label.partition("/")[0] in KIND_OF.values() for label in request.labels)
+        return things and self.concepts is not None and self.concepts.meant(request.sentence) is None
 
     def as_typed(self, sentence: str) -> bool:
         """Whether the pilot is best told a sentence as it is: most of its words are English, or none is known to be."""

@@ -45,8 +45,8 @@ class ChosenScene:
     episode: int
     summary: str
     """Description and reason of the choice, one line for the user."""
-    instruction: str = ""
-    """The instruction of the pilot, if that is not the user's sentence: the same in plain words."""
+    made: bool = False
+    """For the user's sentence, of which its tasks' instructions are parts."""
 
     @property
     def track(self) -> Track:
@@ -54,8 +54,8 @@ class ChosenScene:
         return track_at(self.suite, self.episode)
 
 
-def choose_scene(plan: FlyPlan, understanding: Understanding | None = None, attempt: int = 0) -> ChosenScene:
-    """The scene of a simulated flight; of a scene that is made, each attempt from 0 is another one.
+def choose_scene(plan: FlyPlan, evidence: Evidence | None = None) -> ChosenScene:
+    """The scene of a simulated flight: the seed decides, and nothing that a pilot reads.
 
     With --episode, that episode. Otherwise, for an instruction of the user's own, a scene that shows what it asks for:
     from the given suite or task file, or else made for it. Otherwise the first episode of the given suite or task file,
@@ -76,91 +76,80 @@ def choose_scene(plan: FlyPlan, understanding: Understanding | None = None, atte
         if found is None:
             raise NotUnderstood(f"no scene of {suite.name} shows what {asked!r} asks for; name one with --episode")
         return replace(named_scene(suite, found[0]), summary=_why(found[1], named_scene(suite, found[0])))
-    understanding = understanding or Understanding(own)
+    evidence = evidence or Evidence(Understanding(own))
     if asked and is_mission(goals := sub_goals(asked)):
-        return _mission_scene(asked, goals, understanding, (seed, attempt), own)
-    request = understanding.understand(asked) if asked else Request("", min(own.values(), key=min))
+        return _mission_scene(asked, goals, evidence, seed, own)
+    request = evidence.request(asked) if asked else Request("", min(own.values(), key=min))
     if not request.understood:
-        raise NotUnderstood(not_understood(request, understanding))
-    task = made_task(request, (seed, attempt), frozenset().union(*own.values()))
+        raise NotUnderstood(not_understood(request, evidence.understanding))
+    task = made_task(request, (seed, 0), frozenset().union(*own.values()))
     scene = named_scene(suite_of_tasks(MADE, [task]), 0)
-    meant = _meant(request, task)
-    return replace(scene, summary=f"{scene.summary}; understood as {meant!r}", instruction=f"Fly through {meant}")
+    return replace(scene, summary=f"{scene.summary}; it is to show {_meant(request, task)}", made=True)
 
 
 def _mission_scene(
     asked: str,
     goals: Sequence[SubGoal],
-    understanding: Understanding,
-    seed: tuple[int, int],
+    evidence: Evidence,
+    seed: int,
     own: Mapping[str, frozenset[str]],
 ) -> ChosenScene:
     """A track with a stage for every sub-goal of a mission; a landing without a pad has none."""
-    rng = np.random.default_rng([*seed, 5])
+    rng = np.random.default_rng([seed, 0, 5])
     tasks: list[Task] = []
-    summary, plain = [], ""
+    summary = []
     for number, goal in enumerate(goals):
         if goal.kind == "land":
             summary.append(goal.instruction.lower())
             pad = lands(goal.instruction)[1]
             if pad is not None:
-                task = landing_task(pad, int(rng.integers(3)), COLORS, f"made/{seed[0]}-{seed[1]}-pad")
+                task = landing_task(pad, int(rng.integers(3)), COLORS, f"made/{seed}-pad")
                 tasks.append(replace(task, mission=asked))
             continue
-        requests = [
-            understanding.understand(said) for said in (goal.instruction, goal.otherwise, goal.condition) if said
-        ]
+        requests = [evidence.request(said) for said in (goal.instruction, goal.otherwise, goal.condition) if said]
         for request in requests:
             if not request.understood:
-                raise NotUnderstood(f"of sub-goal {number + 1}, {not_understood(request, understanding)}")
+                raise NotUnderstood(f"of sub-goal {number + 1}, {not_understood(request, evidence.understanding)}")
         # Where something else is to be there, the scene is one without it.
         request, hidden = (requests[1], requests[2].labels) if goal.condition else (requests[0], frozenset[str]())
         for again in range(_DRAWS):
-            task = made_task(
-                request, (seed[0], seed[1] + 100 * number + 10_000 * again), frozenset().union(*own.values())
-            )
+            task = made_task(request, (seed, 100 * number + 10_000 * again), frozenset().union(*own.values()))
             if hidden.isdisjoint(task.labels) and task.gates[task.target or 0].color not in goal.avoid:
                 break
         meant = _meant(request, task)
-        plain = plain or f"Fly through {meant}"
         summary.append(told(goal) if goal.otherwise or goal.avoid else meant)
         tasks.append(replace(task, instruction=goal.instruction, mission=asked))
     if not tasks:
         raise NotUnderstood(f"{asked!r} names no gate to fly through and no pad; say what to fly to first")
     suite = suite_of_tracks(MADE, [tuple(tasks)])
     steps = "; ".join(f"{number}. {each}" for number, each in enumerate(summary, 1))
-    return replace(named_scene(suite, 0), summary=f"mission: {steps}", instruction=plain)
+    return replace(named_scene(suite, 0), summary=f"mission: {steps}", made=True)
 
 
 def plain_instruction(evidence: Evidence, scene: ChosenScene | None, sentence: str) -> str | None:
-    """The instruction of the pilot for the user's sentence, "" at first; none where that is not understood.
+    """The instruction of the pilot for the user's sentence; none where that says nothing to it.
 
-    In a scene that was made for the user's words: the same in plain words. Elsewhere the sentence itself, if it says
-    something to the pilot, or in English what a sentence of another language names.
+    It is the sentence word for word, in every scene and on every vehicle. Only where its words are no English, or mean
+    no thing to the pilot (a typing error, a foreign name) and are known here, it is told in English what they name.
     """
-    understanding = evidence.understanding
-    if lands(sentence)[0] or (not sentence and (scene is None or not scene.instruction)):
+    if scene is not None and scene.made and not sentence:
+        sentence = scene.track[0].instruction
+    own = _own_sentences(scene) if scene is not None and not scene.made else ()
+    if not sentence or lands(sentence)[0] or sentence in own:
         return sentence
-    if scene is None or not scene.instruction:
-        if scene is not None and sentence in _own_sentences(scene):
-            return sentence
-        if evidence.problem(sentence):
-            return None
-        if evidence.as_typed(sentence) or not understanding.understand(sentence).understood:
-            return sentence
-    elif sentence in ("", scene.track[0].instruction):
-        return scene.instruction
-    request = understanding.understand(sentence)
-    if not request.understood:
+    if evidence.problem(sentence):
         return None
+    request = evidence.understanding.understand(sentence)
+    if not request.understood or (evidence.as_typed(sentence) and not evidence.unclear(request)):
+        return sentence
     return sentence if len(request.labels) > 1 and not request.plain else f"Fly through {_meant(request)}"
 
 
 def check_evidence(evidence: Evidence, scene: ChosenScene | None, instruction: str) -> None:
     """Raise `NotUnderstood` if what is to be flown says nothing to the pilot: a person's words, or else the tasks'."""
-    if scene is not None and not scene.instruction and (not instruction or instruction in _own_sentences(scene)):
+    if scene is not None and not scene.made and (not instruction or instruction in _own_sentences(scene)):
         problem = next(filter(None, map(evidence.problem_of_task, _own_sentences(scene))), "")
-    elif scene is not None and scene.instruction:  # it was made from what was understood
+    elif scene is not None and scene.made:  # it was made from what was understood
         problem = ""
     else:
         goals = sub_goals(instruction)

@@ -24,6 +24,7 @@ from cognitivedrone.models.words.text_encoder import TextEncoderModel
 CONCEPTS: Final = "concepts"
 CONCEPTS_FILE: Final = "concepts.onnx"
 _NEAR = 0.04  # difference in cosine at which a concept counts e times less than one that fits better
+_STANDS_OUT = 3.5  # standard deviations; what is no English stays below 3.1
 _LEAST = 1e-6  # likelihood that no panel falls below
 
 Floats = NDArray[np.float32]
@@ -78,7 +79,7 @@ class Concepts:
         self._taught = [row for row, name in enumerate(things) if name not in known]
         names = [things[row].partition(":")[2].replace("_", " ") for row in self._taught]
         self._meanings = encoder.meanings(names) if names else np.zeros((0, encoder.size), np.float32)
-        self._names = [*(name.partition(":")[2].replace("_", " ") for name in things), *model.classes]
+        self._names = [*(name.partition(":")[2] for name in things), *model.classes]
         self._heard = ("", np.zeros(0, np.float32))
 
     @property
@@ -87,8 +88,17 @@ class Concepts:
         fits = self._heard[1]  # of no sentence, none
         best: dict[str, float] = {}
         for place in np.argsort(-fits).tolist()[:6]:
-            best.setdefault(self._names[place], float(fits[place]))
+            best.setdefault(self._names[place].replace("_", " "), float(fits[place]))
         return tuple(best.items())[:3]
+
+    def meant(self, sentence: str) -> tuple[str, tuple[str, ...]] | None:
+        """The thing of the table that a sentence means, and those that it does not; none where none stands out."""
+        things, _ = self.fits(sentence)
+        above = (things - things.mean()) / things.std()
+        above[self._taught] = above.min()
+        if above.max() < _STANDS_OUT:
+            return None
+        return self._names[above.argmax()], tuple(self._names[row] for row in np.flatnonzero(above < np.median(above)))
 
     def fits(self, instruction: str) -> tuple[Floats, Floats]:
         """How well the things and the classes fit a sentence: (things,) and (C,) cosines."""

@@ -65,7 +65,7 @@ function drawCamera() {
 }
 
 function chosen(seen) {
-  const best = (seen ?? []).reduce((best, panel, i) => ((panel.right ?? 0) > (best.right ?? 0) ? { right: panel.right, i } : best), { right: 0.4, i: null });
+  const best = (seen ?? []).reduce((best, panel, i) => ((panel.right ?? 0) > (best.right ?? 0) ? { right: panel.right, i } : best), { right: 0.34, i: null });
   return best.i;
 }
 
