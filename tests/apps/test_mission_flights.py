@@ -51,25 +51,6 @@ def test_what_cannot_be_flown_is_reported_before_take_off(tmp_path, sentence, sa
     assert not (tmp_path / "out").exists()
 
 
-def test_a_scene_is_made_that_is_read_at_every_stage_and_from_nearer_too(tmp_path, monkeypatch):
-    sentence, looked = "first the elephant, then the number 7, then land on the green pad", []
-
-    def certainty(reasoner, track_runner, instruction):
-        attempt = track_runner.task.id.split("-")[1]
-        looked.append((attempt, instruction, track_runner.start.position[0]))
-        nearer = len(looked) > 1 and looked[-2][:2] == looked[-1][:2]
-        return {"0": 0.6 if nearer else 0.9, "1": 0.9, "100": 0.9, "101": 0.2, "2": 0.9, "102": 0.8}[attempt]
-
-    monkeypatch.setattr("cognitivedrone.apps.fly.certainty", certainty)
-    summary = flying(sentence, tmp_path / "out", time_limit=0.3)
-    assert [task.id.split("-")[1] for task in summary.track[:2]] == ["2", "102"]
-    assert [attempt for attempt, _, _ in looked] == ["0", "0", "1", "1", "101", "2", "2", "102", "102"]
-    first, second = looked[:2]
-    assert second[2] - first[2] == pytest.approx(1.5)
-    assert looked[-4][1] == looked[0][1] == "Fly through the gate with the elephant"
-    assert looked[-1][1] == "Fly through the gate with the number 7"
-
-
 class Typed(Orders):
     """Sentences that are typed at certain steps."""
 

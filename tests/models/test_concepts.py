@@ -49,10 +49,20 @@ def test_a_concept_that_no_thing_stands_for_is_heard(concepts):
     assert len(dict(concepts.heard)) == 3
 
 
+def test_what_means_nothing_is_taken_for_no_thing(model):
+    concepts = Concepts(model, TextEncoderModel.load(), (*model.things, "concept/thing:zorgle"))
+    for sentence in ("fly to the frobnitz", "asdf qwer zxcv", "!!!", "lennä kissan luo"):
+        assert concepts.meant(sentence) is None
+    thing, others = concepts.meant("I would like to mail a letter")
+    assert thing == "mailbox"
+    assert "koala" in others
+    assert "envelope" not in others
+
+
 @pytest.mark.parametrize("sentence", ["", "qwxz vrrk", "Лети к коале", "fly " * 250])
 def test_any_sentence_has_some_fit(concepts, sentence):
-    for fits in concepts.fits(sentence):
-        assert np.isfinite(fits).all()
+    for fits, count in zip(concepts.fits(sentence), (4, 1000), strict=True):
+        assert (fits.shape, np.isfinite(fits).all()) == ((count,), True)
 
 
 def test_evidence_is_for_the_panel_that_shows_what_fits():

@@ -44,7 +44,7 @@ class Evidence:
         if meant is None:
             return request
         kind = KIND_OF[meant[0]]
-        wrong = frozenset(f"{kind}/{other}" for other in meant[1] if KIND_OF[other] == kind)
+        wrong = frozenset(f"{kind}/{other}" for other in meant[1] if KIND_OF.get(other) == kind)
         return Request(sentence, frozenset({f"{kind}/{meant[0]}"}), wrong)
 
     def problem(self, sentence: str) -> str:

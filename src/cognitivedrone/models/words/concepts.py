@@ -80,7 +80,7 @@ class Concepts:
         names = [things[row].partition(":")[2].replace("_", " ") for row in self._taught]
         self._meanings = encoder.meanings(names) if names else np.zeros((0, encoder.size), np.float32)
         self._names = [*(name.partition(":")[2] for name in things), *model.classes]
-        self._heard = ("", np.zeros(0, np.float32))
+        self._heard: tuple[str | None, Floats] = (None, np.zeros(0, np.float32))
 
     @property
     def heard(self) -> tuple[tuple[str, float], ...]:
@@ -102,14 +102,15 @@ class Concepts:
 
     def fits(self, instruction: str) -> tuple[Floats, Floats]:
         """How well the things and the classes fit a sentence: (things,) and (C,) cosines."""
-        if self._heard[0] != instruction:
+        heard = self._heard  # flights that fork share it
+        if heard[0] != instruction:
             meaning = self._encoder.meanings([instruction])
             fits = self._model.fits(meaning)[0]
             things = fits[self._places]
             things[self._taught] = self._meanings @ meaning[0]
-            self._heard = instruction, np.concatenate([things, fits[len(self._model.things) :]])
+            heard = self._heard = instruction, np.concatenate([things, fits[len(self._model.things) :]])
         count = len(self._places)
-        return self._heard[1][:count], self._heard[1][count:]
+        return heard[1][:count], heard[1][count:]
 
 
 def evidence(shares: Floats, fits: Floats) -> Floats:
