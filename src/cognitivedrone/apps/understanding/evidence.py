@@ -56,6 +56,10 @@ class Evidence:
             return ""
         return f"the task's instruction {sentence!r} has no word that the pilot knows; {LANGUAGE}"
 
+    def refused_looks(self, sentence: str) -> frozenset[str]:
+        """Looks of gates that a person's sentence says are not meant; they are not flown through."""
+        return self.understanding.understand(sentence).refused_looks if sentence else frozenset()
+
     def as_typed(self, sentence: str) -> bool:
         """Whether the pilot is best told a sentence as it is: most of its words are English, or none is known to be."""
         typed, real = self.understanding.typed(sentence), self.understanding.real
