@@ -9,11 +9,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from cognitivedrone import evaluate
 from cognitivedrone.benchmark.runs.runner import Interrupted
 from cognitivedrone.cli import main
 from cognitivedrone.errors import UsageError
+from cognitivedrone.terminal.progress import progress_bar
 
 CALL = """
 from cognitivedrone import evaluate
@@ -57,6 +59,11 @@ def test_two_shards_merged_give_the_score_of_one_run_to_the_digit(tmp_path):
     main(["merge", str(tmp_path / "one"), str(tmp_path / "two"), "--out", str(tmp_path / "merged")])
     whole, merged = (json.loads((tmp_path / name / "results.json").read_text()) for name in ("whole", "merged"))
     assert (merged["scores"], merged["episodes"]) == (whole["scores"], whole["episodes"])
+
+
+def test_a_notebook_without_widgets_is_shown_no_bar_and_no_warning():
+    with progress_bar(screen=Console(force_jupyter=True)) as bar:
+        bar.add_task("flying", total=1)
 
 
 def test_paths_may_be_text_and_wrong_types_are_a_sentence(tmp_path):

@@ -61,7 +61,9 @@ def made(rng: random.Random) -> tuple[str, tuple[SubGoal, ...]]:
     )
     goals = [goal for _, each in steps for goal in each][:12]
     if rng.random() < 0.5:
-        banned: list[str] = list(rng.choice((rng.sample(COLORS, rng.randint(1, 2)), rng.sample(SHAPES, 2), rng.sample(SIZES, 1))))
+        banned: list[str] = list(
+            rng.choice((rng.sample(COLORS, rng.randint(1, 2)), rng.sample(SHAPES, 2), rng.sample(SIZES, 1)))
+        )
         said = rng.choice(BANS).format(rng.choice((" and ", " or ", ", ", ", and ")).join(banned))
         if rng.random() < 0.2:
             banned, said = ["Fly to the zebra"], "never through the zebra"

@@ -40,7 +40,7 @@ from cognitivedrone.rollout.process_pool import ProcessPool, no_processes, say_i
 from cognitivedrone.rollout.ray_pool import RayPool
 from cognitivedrone.system.interrupts import watched
 from cognitivedrone.terminal import console
-from cognitivedrone.terminal.progress import progress_bar
+from cognitivedrone.terminal.progress import progress_bar, redraws
 from cognitivedrone.text.printable import shown_address
 from cognitivedrone.types import EpisodeResult, Track
 from cognitivedrone.vehicles.external import LinkReport
@@ -75,7 +75,7 @@ def run(
         # Write nothing before the workers are ready: a pilot that cannot be made must not change the folder.
         # In older releases of rich, a quiet console ends a status with an empty line.
         screen = console(stderr=True)
-        with screen.status("starting the simulators") if progress else nullcontext():
+        with screen.status("starting the simulators") if progress and redraws(screen) else nullcontext():
             pool = stack.enter_context(_pool_of(Flights(job, runner), max(len(missing), 1), pilot))
         folder = stack.enter_context(
             RunFolder(path, facts, tracks=job.suite.tracks, resume=plan.resume, overwrite=plan.overwrite)
