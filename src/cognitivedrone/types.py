@@ -332,11 +332,15 @@ class SubGoal:
     instruction: str
     """A sentence about this stage alone; for the pad to land on its directive."""
     otherwise: str = ""
-    """What is flown through if nothing matches the instruction, or the condition; empty if nothing is."""
+    """What is done if nothing matches the instruction, or the condition: a sentence, or to land; empty for nothing."""
     condition: str = ""
     """What must be there for the instruction to be flown, if that is something else."""
-    avoid: frozenset[Color] = frozenset()
-    """Colours of gates that are never flown through."""
+    avoid: frozenset[str] = frozenset()
+    """What is never flown through: colours, shapes and sizes of gates, and sentences that ask for a thing."""
+    absent: bool = False
+    """Whether what the condition asks for must not be there."""
+    rejected: frozenset[Color] = frozenset()
+    """Of gates that a person ruled out in flight: the next best one is meant, however little it fits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -353,6 +357,8 @@ class SeenPanel:
     """The likeliest things on it with their probabilities, likeliest first."""
     right: float | None = None
     """Probability that the gate is the right one; none before an answer."""
+    gate: Gate | None = None
+    """How the gate looks, if that was read."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,7 +40,8 @@ def test_a_mission_is_flown_part_after_part_and_lands_on_its_pad(tmp_path):
         ("first the dog, then the red gate, never through red", "forbids it"),
         ("first the dog, then land on the red pad, then the cat", "goes on after the landing"),
         ("land", "names no gate to fly through and no pad"),
-        ("if there is a bus take it, otherwise land", "not understood: 'land'"),
+        ("if there is a bus take it, otherwise land on red", "lands on the red pad under a condition"),
+        ("first a dog, never through the dog", "all that fits is forbidden"),
         ("never through red", "understood up to 'never through red'"),
         (", then ".join(["fly to the dog"] * 50), "has 50 sub-goals"),
     ],
@@ -186,3 +187,29 @@ def test_of_a_condition_the_other_thing_is_flown_to_where_it_does_not_hold(tmp_p
     assert task.labels[task.target].startswith("animal/elephant")
     assert not any("bus" in label for label in task.labels)
     assert [result.outcome for result in summary.results] == ["passed"]
+
+
+@pytest.mark.parametrize(
+    ("sentence", "flown"),
+    [
+        ("if there is a guitar fly to it, otherwise land", None), ("if there is a koala land, else the crab", None),
+        ("if there is a zebra land, otherwise the crab", "crab"), ("s'il y a un koala, vas-y, sinon atterris", "koala"),
+        ("wenn es einen Koala gibt, nimm die Krabbe, sonst den Schmetterling", "crab"),
+        ("the animal, never through the koala", "crab butterfly"), ("an animal, never through square gates", "crab"),
+        ("the gate that is not green", "crab butterfly"), ("a non-blue gate", "koala butterfly"),
+    ],
+)  # fmt: skip
+def test_in_a_given_scene_conditions_and_prohibitions_hold(tmp_path, sentence, flown):
+    summary = flying(sentence, tmp_path / "out", suite="open-v1:smoke", episode=1, time_limit=40)
+    if flown is None:
+        assert summary.ending.reason == "landed where it was, as the mission says"
+        assert not summary.results
+    else:
+        (result,), (task,) = summary.results, summary.track
+        assert task.options[result.chosen] in flown.split()
+
+
+def test_without_a_reasoner_nobody_keeps_to_a_condition(tmp_path):
+    with pytest.raises(NotUnderstood, match="only a reasoner keeps to a condition"):
+        flying("first the elephant, never through red", tmp_path / "out", reasoner="none")
+    assert not (tmp_path / "out").exists()

@@ -7,6 +7,7 @@ import json
 import pytest
 from chat_server import GOOD, Script, chat, serving
 
+from cognitivedrone.benchmark.scores.results import read_results
 from cognitivedrone.benchmark.scores.transport import not_measured
 from cognitivedrone.cli import main
 
@@ -44,3 +45,22 @@ def test_what_was_not_asked_is_no_part_of_the_score(tmp_path, capsys):
               f"vlm:{url},model=eye-7b,timeout=60"])  # fmt: skip
     scores = json.loads((tmp_path / "out" / "reason.json").read_text())["scores"]["overall"]
     assert (scores["n"], scores["faults"]) == (1, {"http": 1})
+
+
+def test_a_flight_in_which_the_server_did_not_answer_is_told_beside_the_rates(tmp_path, capsys):
+    """Of three flights the first loses a question: the other two are the score."""
+    asked: list[str] = []
+
+    def behave(handler):
+        asked.append(handler.path)
+        handler.answer(*((401, b"no key") if len(asked) == 2 else (200, chat(GOOD))))
+
+    words = ["bench", "--suite=open-v1:smoke", "--episodes=3", "--policy=colour_seeker", "--workers=0"]
+    with serving(Script(behave=behave)) as url, pytest.warns(RuntimeWarning):
+        main([*words, "--out", str(tmp_path / "out"), "--reasoner", f"vlm:{url},model=eye-7b,timeout=60"])
+    said = " ".join(capsys.readouterr().out.split())
+    assert " of 2 tasks of open-v1:smoke" in said
+    assert "not counted: 1 of 3 flights without an answer of the reasoner's server" in said
+    summary = read_results(tmp_path / "out").summary()
+    assert (summary.overall.n, summary.episodes, summary.unanswered) == (2, 2, 1)
+    assert "this is not a measurement" not in said

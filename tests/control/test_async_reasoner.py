@@ -14,7 +14,8 @@ import pytest
 from cognitivedrone.control.async_reasoner import Question, SimulatedReasoner, ThreadedReasoner
 from cognitivedrone.errors import ReasonerError
 from cognitivedrone.interfaces import Reasoner
-from cognitivedrone.types import EpisodeContext, GroundTruth, Guidance, SubGoal
+from cognitivedrone.tasks.directives import HOLD, parse_directive, write_directive
+from cognitivedrone.types import EpisodeContext, Gate, GroundTruth, Guidance, SeenPanel, SubGoal
 
 FRAME = np.zeros((256, 256, 3), np.uint8)
 
@@ -203,3 +204,53 @@ def test_of_a_condition_what_holds_decides_which_thing_is_asked_for(there, flown
     goal = SubGoal("fly", "Take the dog", "Fly to the cat", "Fly to a bus", frozenset({"green"}))
     SimulatedReasoner(reasoner).ask(Question(0, "Take the dog", FRAME, 0.0, goal=goal))
     assert reasoner.heard[-1] == f"{flown}, but never through the green gate"
+
+
+class Panels(Remembers):
+    """Sees a dog at a round red gate, a cat at a round green and a bus at a big square blue one."""
+
+    def refine(self, image, instruction):
+        gates = {"dog": Gate("small", "round", "red"), "cat": Gate("small", "round", "green"),
+                 "bus": Gate("big", "square", "blue")}  # fmt: skip
+        fits = [thing for thing in gates if thing in instruction or ("animal" in instruction and thing != "bus")]
+        rights = [0.9 - 0.2 * place if thing in fits else 0.02 for place, thing in enumerate(gates)]
+        self.seen = tuple(
+            SeenPanel(gate.color, None, thing, (), right, gate)
+            for (thing, gate), right in zip(gates.items(), rights, strict=True)
+        )
+        if not fits:
+            return Guidance(HOLD, None, 0.9, present=0.1)
+        return Guidance(write_directive(gates[fits[0]]), 0, 0.9)
+
+
+@pytest.mark.parametrize(
+    ("goal", "color"),
+    [
+        (SubGoal("fly", "Fly to an animal"), "red"),
+        (SubGoal("fly", "Fly to an animal", avoid=frozenset({"Fly to the dog"})), "green"),
+        (SubGoal("fly", "Fly to an animal", avoid=frozenset({"Fly to the zebra"})), "red"),
+        (SubGoal("fly", "Fly to an animal", avoid=frozenset({"round"})), None),
+        (SubGoal("fly", "Fly to an animal", avoid=frozenset({"red"}), rejected=frozenset({"green"})), "blue"),
+        (SubGoal("fly", "Fly to an animal", avoid=frozenset({"small", "Fly to the bus"})), None),
+    ],
+)
+def test_what_is_forbidden_by_look_or_thing_is_not_flown_through(goal, color):
+    asked = SimulatedReasoner(Panels())
+    asked.ask(Question(0, goal.instruction, FRAME, 0.0, goal=goal))
+    assert parse_directive(asked.answer(0.0).guidance.directive)[1] == color
+
+
+@pytest.mark.parametrize(
+    ("goal", "directive"),
+    [
+        (SubGoal("fly", "Fly to the zebra", "Land on the pad"), "Land on the pad"),
+        (SubGoal("fly", "Fly to the dog", "Land on the pad"), "Fly through the small red round gate"),
+        (SubGoal("fly", "Fly to the dog", "Land on the pad", "Fly to the bus", absent=True), "Land on the pad"),
+        (SubGoal("fly", "Fly to the dog", "Land on the pad", "Fly to the zebra", absent=True),
+         "Fly through the small red round gate"),
+    ],
+)  # fmt: skip
+def test_a_branch_may_be_to_land(goal, directive):
+    asked = SimulatedReasoner(Panels())
+    asked.ask(Question(0, goal.instruction, FRAME, 0.0, goal=goal))
+    assert asked.answer(0.0).guidance.directive == directive

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 
 import pytest
 
 from cognitivedrone.tasks import SUITES, load_suite
 from cognitivedrone.tasks.missions import is_mission, problem_of, read, sub_goals, told
-from cognitivedrone.types import COLORS, SubGoal
+from cognitivedrone.types import COLORS, SHAPES, SIZES, SubGoal
 
 THINGS = ("the dog", "the elephant", "the number 7", "the letter B", "the animal that barks", "the banana")
 PADS = {
@@ -44,6 +45,14 @@ def made(rng: random.Random) -> tuple[str, tuple[SubGoal, ...]]:
                      [SubGoal("fly", f"Take {thing}", f"Fly to {other}", f"Fly to {third}")]),
                     (f"if there is no {third.removeprefix('the ')}, {thing}, otherwise {other}",
                      [SubGoal("fly", f"Fly to {other}", f"Fly to {thing}", f"Fly to {third.removeprefix('the ')}")]),
+                    (f"if there is {third} take {thing}, otherwise land",
+                     [SubGoal("fly", f"Take {thing}", "Land on the pad", f"Fly to {third}")]),
+                    (f"if there is {third} land, otherwise take {thing}",
+                     [SubGoal("fly", f"Take {thing}", "Land on the pad", f"Fly to {third}", absent=True)]),
+                    (f"wenn es {third} gibt, nimm {thing}, sonst {other}",
+                     [SubGoal("fly", f"Nimm {thing}", f"Fly to {other}", f"Fly to {third}")]),
+                    (f"si tu vois {third}, va là, sinon prends {other}",
+                     [SubGoal("fly", f"Fly to {third}", f"Prends {other}")]),
                 ]
             )
         )  # fmt: skip
@@ -52,10 +61,14 @@ def made(rng: random.Random) -> tuple[str, tuple[SubGoal, ...]]:
     )
     goals = [goal for _, each in steps for goal in each][:12]
     if rng.random() < 0.5:
-        banned = rng.sample(COLORS, rng.randint(1, 2))
+        banned: list[str] = list(
+            rng.choice((rng.sample(COLORS, rng.randint(1, 2)), rng.sample(SHAPES, 2), rng.sample(SIZES, 1)))
+        )
         said = rng.choice(BANS).format(rng.choice((" and ", " or ", ", ", ", and ")).join(banned))
+        if rng.random() < 0.2:
+            banned, said = ["Fly to the zebra"], "never through the zebra"
         text = f"{said}; first {text.removeprefix('first ')}" if rng.random() < 0.3 else f"{text}, {said}"
-        goals = [SubGoal("fly", goal.instruction, goal.otherwise, goal.condition, frozenset(banned)) for goal in goals]
+        goals = [replace(goal, avoid=frozenset(banned)) for goal in goals]
     if rng.random() < 0.5:
         form, color = rng.choice(list(PADS)), rng.choice(COLORS)
         pad = next(each for each in COLORS if each != color) if PADS[form] else color
@@ -111,8 +124,13 @@ land on the pad that is not
 first the dog, then land on red if there is a cat, otherwise blue
 land on red if you see a cat
 if there is a cat land on red, otherwise on blue
-if there is a bus land, otherwise take the cat
+if there is a bus land on the red pad, otherwise take the cat
 if there is a cat, fly to it, otherwise land on red
+if there is a cat land, otherwise land
+wenn es einen Hund gibt, lande auf rot, sonst auf blau
+wenn es zwei Hunde gibt, nimm die Katze, sonst das Pferd
+wenn nicht, nimm die Katze, sonst das Pferd
+s'il y a un chien et un chat, prends le bus, sinon le cheval
 if there is a bus take it, otherwise don't fly to the dog
 if there is a bus take it, otherwise never through red
 if there is a bus don't take it, otherwise the dog
@@ -123,8 +141,6 @@ fly to the dog unless you see a cat
 first the dog, then the cat unless there is a bus
 fly to the dog, if not there the cat
 fly to the dog, otherwise the cat
-wenn es einen Hund gibt, nimm die Katze, sonst das Pferd
-s'il y a un chien, prends le chat, sinon le cheval
 fly to the dog 2.5 times
 fly to the dog -2 times
 fly to the dog minus two times
@@ -166,8 +182,8 @@ first the dog, then fly to the red pad
 fly to the dog, then descend on the red pad
 donut, then coffee, then nap on the blue pad
 fly to the dog, then perch on red
-first the dog, then the cat, never through triangles
-first the dog, then the cat, never through the big gate
+first the dog, then through the triangle, never through triangles
+first the dog, then the cat, never through the big and small gates
 first the dog, then the cat, avoid the red triangle
 avoid, first the dog then the cat
 first the dog, never, then the cat
@@ -204,7 +220,7 @@ fly 2 to 3 times to the dog
 fly to the dog at most twice
 if there is a bus and a cat take the dog, otherwise the horse
 if there are two dogs take the cat, otherwise the horse
-take the dog if there is one, otherwise land
+take the dog if there is one, otherwise land on blue
 only through green: first the dog, then the cat
 in reverse order: the dog, then the cat
 first the dog, then stop
@@ -256,12 +272,21 @@ def test_of_the_missions_of_the_suite_only_what_nobody_could_be_sure_of_is_refus
     assert sum(bool(read(mission).problem) for mission in missions) <= 3
 
 
-def test_a_thing_that_is_forbidden_is_said_to_the_reasoner_with_every_goal():
-    goals = sub_goals("first an animal, then the car, never through the dog")
-    assert [goal.instruction for goal in goals] == [
-        "Fly to an animal, but not the dog",
-        "Fly to the car, but not the dog",
-    ]
+@pytest.mark.parametrize(
+    ("said", "avoid"),
+    [
+        ("never through the dog", {"Fly to the dog"}), ("never through a round gate", {"round"}),
+        ("don't use triangles", {"triangle"}), ("nie durch große Tore", {"big"}),
+        ("stay away from the bus and from blue", {"Fly to the bus", "blue"}),
+    ],
+)  # fmt: skip
+def test_things_and_every_look_of_gates_are_forbidden(said, avoid):
+    assert [goal.avoid for goal in sub_goals(f"first an animal, then the car, {said}")] == [avoid, avoid]
+
+
+def test_a_pad_that_depends_on_a_condition_is_refused_in_these_words():
+    for sentence in ("if there is a cat land on red, otherwise on blue", "the dog if there is one, else land on blue"):
+        assert "pad under a condition; say 'otherwise land'" in read(sentence).problem
 
 
 @pytest.mark.parametrize(

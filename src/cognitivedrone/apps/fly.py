@@ -21,7 +21,7 @@ from cognitivedrone import terminal
 from cognitivedrone.apps.config import FlyPlan
 from cognitivedrone.apps.film import film_flight
 from cognitivedrone.apps.log import FlightLog, check_free
-from cognitivedrone.apps.mission import Mission, Recorder
+from cognitivedrone.apps.mission import UNKEPT, Mission, Recorder, kept_by_none
 from cognitivedrone.apps.orders import Keyboard, Orders, ending_on_signals, landing_on_interrupt, readable
 from cognitivedrone.apps.understanding.evidence import Evidence, taught_names
 from cognitivedrone.apps.understanding.request import Understanding
@@ -113,8 +113,9 @@ def fly_mission(
                 log = FlightLog(out, _about(plan, scene), ros, pilot.reasoner)
                 with watchdog.over(vehicle, partial(log.close, None)):
                     plain = functools.cache(partial(plain_instruction, evidence, scene))
+                    refused = functools.cache(evidence.refused_looks)
                     summary = _fly(
-                        plan, vehicle, pilot, log, orders, console, keyboard, plain, pace, page, plans, goals
+                        plan, vehicle, pilot, log, orders, console, keyboard, plain, refused, pace, page, plans, goals
                     )
                 if vehicle.track_runner is not None:
                     scenes = scenes_of(vehicle.track_runner)
@@ -183,6 +184,8 @@ def _planned(plan: FlyPlan, pilot: Pilot, scene: ChosenScene | None) -> Plans:
     _check_mission(mission, pads=True)
     if not mission or not (mission == of_scene or is_mission(sub_goals(mission))):
         return sub_goals
+    if pilot.reasoner is None and any(map(kept_by_none, sub_goals(mission))):
+        raise NotUnderstood(UNKEPT)
     try:
         return plans_with(pilot.reasoner, mission)
     except ReasonerError as error:
@@ -216,6 +219,7 @@ def _fly(
     console: Console,
     keyboard: TextIO,
     plain: Callable[[str], str | None],
+    refused: Callable[[str], frozenset[str]],
     pace: Pace,
     page: Page | None,
     plans: Plans,
@@ -235,7 +239,7 @@ def _fly(
         flown = WatchedDrone(flown, passage)
     looks = vehicle.track_runner is not None and pilot.reasoner is not None and plan.hold_below > 0
     flown = SecondLook(flown, hold) if looks else HeldDrone(flown, hold)
-    mission = Mission(plan, vehicle, orders, drone.now, hold, passage, plain, flown, plans)
+    mission = Mission(plan, vehicle, orders, drone.now, hold, passage, plain, refused, flown, plans)
     timed = TimedPolicy(pilot.policy)
     with ExitStack() as stack:
         stack.enter_context(landing_on_interrupt(orders, at_once=vehicle.track_runner is not None))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 from cognitivedrone.apps.config import FlyPlan
 from cognitivedrone.apps.ending import ending_of, flown_by_estimate, out_of_time
@@ -17,7 +18,7 @@ from cognitivedrone.control.planning import Plans
 from cognitivedrone.control.second_look import SecondLook
 from cognitivedrone.interfaces import Drone
 from cognitivedrone.tasks.directives import HOLD, parse_directive
-from cognitivedrone.tasks.missions import is_mission, read, rejects, sub_goals
+from cognitivedrone.tasks.missions import LOOKS, is_mission, lands, read, rejects, sub_goals
 from cognitivedrone.types import Action, Color, Event, Guidance, Observation, SubGoal
 from cognitivedrone.vehicles.contract import Vehicle
 
@@ -41,6 +42,14 @@ class _Order:
     """The gates of that stage that were not meant."""
 
 
+UNKEPT: Final = "only a reasoner keeps to a condition and to what is forbidden; leave out --reasoner none"
+
+
+def kept_by_none(goal: SubGoal | None) -> bool:
+    """Whether a sub-goal asks for what no policy keeps without a reasoner."""
+    return goal is not None and bool(goal.otherwise or goal.avoid)
+
+
 class Mission:
     """The current segment: the latest typed instruction, else the command's, else the scene's."""
 
@@ -53,6 +62,7 @@ class Mission:
         hold: Hold,
         passage: Passage | None,
         plain: Callable[[str], str | None],
+        refused_looks: Callable[[str], frozenset[str]],
         drone: Drone,
         plans: Plans = sub_goals,
     ) -> None:
@@ -60,8 +70,12 @@ class Mission:
         self.ending: Ending | None = None
         self._plan, self._vehicle, self._orders, self._now, self._hold = plan, vehicle, orders, now, hold
         self._passage, self._plain, self._drone, self._plans = passage, plain, drone, plans
+        self._refused_looks = refused_looks
         self.aim: Color | None = None
         """Of the gate that the reasoner directs to, once it has answered about this order and stage."""
+        self.to_land = False
+        """Whether it directs to land, as the mission says for what it sees."""
+        self._unaided = plan.pilot.reasoner == "none"
         self._stage = 0
         self._order = _Order(plan.instruction or "")
 
@@ -71,7 +85,7 @@ class Mission:
         gates = self._passage.gates if self._passage is not None else 0
         index = track.index if track is not None else gates
         if index != self._stage:
-            self.aim = None
+            self.aim, self.to_land = None, False
         order = self._newest(index)
         instruction = order.sentence or (track and track.task.mission) or ""
         self.ending = (
@@ -93,15 +107,29 @@ class Mission:
         of_scene = truth.task.instruction if truth is not None else ""
         self._hold.begin(index + order.number)
         goal = self._goal(instruction, of_scene, index)
-        if goal is not None and goal.kind == "land" and not (truth is not None and truth.task.landing):
-            self.ending = Ending("ordered", "landed where it was, as the mission says: there is no pad here")
+        no_pad = goal is not None and goal.kind == "land" and not (truth is not None and truth.task.landing)
+        if no_pad or (goal is not None and self.to_land and lands(goal.otherwise)[0]):
+            why = ": there is no pad here" if no_pad else ""
+            self.ending = Ending("ordered", f"landed where it was, as the mission says{why}")
             return None
         sentence = instruction if goal is None else goal.instruction
         # The words of a reasoner's own plan are its own: only what people type is put into plain words.
         own = goal is not None and self._plans(instruction) != sub_goals(instruction)
-        plain = sentence if own else None if read(instruction).problem else self._plain(sentence)
+        unkept = self._unaided and kept_by_none(goal)
+        plain = sentence if own else None if read(instruction).problem or unkept else self._plain(sentence)
+        if goal is not None and not own:
+            asked = (goal.otherwise, goal.condition, *goal.avoid - LOOKS)
+            said = {each: (each and self._plain(each)) or each for each in asked}
+            avoid = frozenset(said.get(each, each) for each in goal.avoid)
+            goal = replace(
+                goal,
+                instruction=plain or goal.instruction,
+                otherwise=said[goal.otherwise],
+                condition=said[goal.condition],
+                avoid=avoid,
+            )
         if plain is None:
-            self._hold.give_up(f"{sentence!r} was not understood")
+            self._hold.give_up(UNKEPT if unkept else f"{sentence!r} was not understood")
             plain = self.segment.instruction if self.segment is not None else HOLD
         if track is not None and self._hold.active:  # while it looks again, it has not declined
             track.decline(self._hold.given_up)
@@ -125,7 +153,7 @@ class Mission:
         count, typed = self._orders.given
         if count == order.lines:
             return order
-        if self._plan.pilot.reasoner != "none" and rejects(typed):
+        if not self._unaided and rejects(typed):
             if self.aim is None:
                 self._order = replace(order, lines=count)
                 return self._order
@@ -133,7 +161,7 @@ class Mission:
             every = (*order.corrections, typed)
             self._order = replace(order, lines=count, corrections=every, corrected=index, avoid=avoid)
         else:
-            self.aim = None
+            self.aim, self.to_land = None, False
             self._order = _Order(typed, count, order.number + 1, index)
         return self._order
 
@@ -141,10 +169,12 @@ class Mission:
         """The sub-goal of now, if the sentence is a mission, which begins where it was given, or was corrected here."""
         order, goals = self._order, self._plans(instruction)
         goal = goals[min(index - order.began, len(goals) - 1)] if is_mission(goals) else None
-        if order.corrected != index or not order.avoid:
+        rejected = order.avoid if order.corrected == index else frozenset()
+        refused = frozenset() if self._unaided else self._refused_looks(goal.instruction if goal else instruction)
+        if not rejected | refused:
             return goal
         goal = goal or SubGoal("fly", instruction or of_scene)
-        return replace(goal, avoid=goal.avoid | order.avoid)
+        return replace(goal, avoid=goal.avoid | refused, rejected=rejected)
 
 
 class Recorder:
@@ -167,6 +197,7 @@ class Recorder:
             return
         if guidance is not None:
             self._mission.aim = parse_directive(guidance.directive)[1]
+            self._mission.to_land = lands(guidance.directive)[0]
         if status.decision != self._decision:
             self._decision = status.decision
             self.note(Event(observation.time, "guard", f"{status.decision}: {status.reason}".rstrip(": ")))

@@ -136,6 +136,8 @@ def _run_of(results: Results, where: str) -> SubmittedRun:
     where = f"{where}: {results.run.suite.name}"
     check_suite(results.run, where)
     episodes, tracks = results.episodes, tracks_of(results.run)
+    if lost := results.summary().unanswered:
+        raise RunError(f"{where}: in {lost} of its flights the reasoner's server did not answer; fly it again")
     if len(episodes) < len(tracks):
         raise RunError(f"{where} has {len(episodes)} episodes only; fly the whole suite, without --episodes")
     flown = [

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from cognitivedrone.control.async_reasoner import asking
 from cognitivedrone.control.calls import NO_WATCH, Watch
 from cognitivedrone.errors import ReasonerError
 from cognitivedrone.interfaces import Reasoner
-from cognitivedrone.tasks.missions import problem_of, read, sub_goals
-from cognitivedrone.types import SubGoal
+from cognitivedrone.tasks.missions import forbidden, lands, problem_of, read, sub_goals
+from cognitivedrone.types import COLORS, SubGoal
 
 Plans = Callable[[str], tuple[SubGoal, ...]]
 """The sub-goals of a sentence; at least one."""
@@ -18,26 +19,31 @@ Plans = Callable[[str], tuple[SubGoal, ...]]
 def plans_with(reasoner: Reasoner | None, mission: str, watch: Watch = NO_WATCH) -> Plans:
     """The plan of `mission`, made now by a reasoner that plans, and of any other sentence read by its words.
 
-    A plan of its own must keep to what the words forbid, and to their landing; a condition, which a plan cannot hold,
-    is left to the words. Raises `ReasonerError` if there is no plan that can be flown.
+    A plan of its own must keep to what the words forbid, and to their landing; a condition or a landing in a branch,
+    which a plan cannot hold, is left to the words. Raises `ReasonerError` if there is no plan that can be flown.
     """
     words = read(mission)
     judged = reasoner is not None and not reasoner.needs_ground_truth
-    own = (
-        None if reasoner is None or any(goal.condition for goal in words.goals) else _plan_of(reasoner, mission, watch)
-    )
+    kept = any(goal.condition or lands(goal.otherwise)[0] for goal in words.goals)
+    own = None if reasoner is None or kept else _plan_of(reasoner, mission, watch)
     if judged and own is None and words.problem:
         raise ReasonerError("schema", f"the mission {words.problem}")
-    if own is not None and not words.problem and (lost := _lost(words.goals, own)):
-        raise ReasonerError("schema", f"the reasoner's plan leaves out {lost}")
+    if own is not None and not words.problem:
+        if lost := _lost(words.goals, own):
+            raise ReasonerError("schema", f"the reasoner's plan leaves out {lost}")
+        own = tuple(
+            replace(goal, avoid=goal.avoid | forbidden(mission)) if goal.kind == "fly" else goal for goal in own
+        )
+        if problem := problem_of(own):
+            raise ReasonerError("schema", f"the reasoner's plan {problem}")
     return lambda sentence: own if own is not None and sentence == mission else sub_goals(sentence)
 
 
 def _lost(words: tuple[SubGoal, ...], own: tuple[SubGoal, ...]) -> str:
-    """What the words say and a plan does not: a prohibition, or the landing."""
-    forbidden = frozenset(color for goal in words for color in goal.avoid)
-    if any(goal.kind == "fly" and not goal.avoid >= forbidden for goal in own):
-        return f"what is forbidden, {' and '.join(sorted(forbidden))}"
+    """What the words say and a plan, which knows no other prohibition, does not: a colour, or the landing."""
+    colors = frozenset(COLORS).intersection(each for goal in words for each in goal.avoid)
+    if any(goal.kind == "fly" and not goal.avoid >= colors for goal in own):
+        return f"what is forbidden, {' and '.join(sorted(colors))}"
     landings = [[goal.instruction for goal in goals if goal.kind == "land"] for goals in (words, own)]
     return "" if landings[0] == landings[1] else f"the landing, {(landings[0] or ['none'])[0].lower()}"
 

@@ -18,7 +18,7 @@ from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.plan import Scenario
 from cognitivedrone.sim.drone_world import DroneWorld, Scenery, Start
 from cognitivedrone.sim.gate_monitor import GateEvent
-from cognitivedrone.tasks.missions import forbidden_colors
+from cognitivedrone.tasks.missions import forbidden
 from cognitivedrone.types import CONTROL_HZ, GroundTruth, Outcome, Stage, StageResult, Task, Track
 from cognitivedrone.world import geometry, places
 from cognitivedrone.world.appearance import PLAIN, Appearance, photo_appearance, varied_appearance
@@ -275,8 +275,10 @@ def forbidden_gates(task: Task) -> tuple[int, ...]:
     """The gates of a stage, 0 to 2, that its mission forbids to fly through."""
     if task.mission is None or task.landing:
         return ()
-    avoid = forbidden_colors(task.mission)
-    return tuple(number for number, gate in enumerate(task.gates) if gate.color in avoid)
+    avoid = forbidden(task.mission)
+    return tuple(
+        number for number, gate in enumerate(task.gates) if not avoid.isdisjoint((gate.color, gate.shape, gate.size))
+    )
 
 
 def unflown(task: Task, outcome: Outcome) -> StageResult:

@@ -238,7 +238,8 @@ class SmallReasoner(Reasoner):
             likeliest = np.argsort(-mean[concepts])[:_SAID]
             readings = tuple((_spoken(names[each]), float(mean[concepts][each])) for each in likeliest)
             shown = self._writer.shown(mean).partition(" or maybe ")[0]
-            found.append(SeenPanel(COLORS[color], gate.box, shown, readings))
+            look = replace(gate_of(gate.looks / gate.weight), color=COLORS[color])
+            found.append(SeenPanel(COLORS[color], gate.box, shown, readings, gate=look))
         return tuple(found)
 
     def _described(self, panels: Floats) -> str:

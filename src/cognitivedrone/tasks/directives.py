@@ -38,8 +38,8 @@ HOLD = "Hold position"
 
 
 def declines(directive: str) -> bool:
-    """Whether a directive is `HOLD`, in any case and with any punctuation."""
-    return re.findall(r"[a-z]+", directive.lower()) == ["hold", "position"]
+    """Whether a directive is `HOLD`, or to land, in any case and with any punctuation: through no gate."""
+    return re.findall(r"[a-z]+", directive.lower()) in (["hold", "position"], ["land", "on", "the", "pad"])
 
 
 def write_directive(gate: Gate) -> str:

@@ -6,6 +6,7 @@ import sys
 import threading
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from typing import TypeVar
 
 from rich.console import Console
@@ -18,10 +19,16 @@ T = TypeVar("T")
 BAR_WIDTH = 16
 
 
+def redraws(screen: Console) -> bool:
+    """Whether lines on it can change; a notebook needs ipywidgets for that, and shows a warning instead."""
+    return not screen.is_jupyter or find_spec("ipywidgets") is not None
+
+
 def progress_bar(
     *fields: str, show: bool = True, columns: Iterable[ProgressColumn] = (), screen: Console | None = None
 ) -> Progress:
     """A progress bar; `fields` are texts that `update` changes, `columns` come before the remaining time."""
+    screen = screen or console(stderr=True)
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(bar_width=BAR_WIDTH),
@@ -29,8 +36,8 @@ def progress_bar(
         *columns,
         TimeRemainingColumn(compact=True),
         *map(_Field, fields),
-        console=screen or console(stderr=True),
-        disable=not show,
+        console=screen,
+        disable=not (show and redraws(screen)),
     )
 
 

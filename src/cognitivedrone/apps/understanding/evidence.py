@@ -77,6 +77,10 @@ class Evidence:
         things = any(label.partition("/")[0] in KIND_OF.values() for label in request.labels)
         return things and self.concepts is not None and self.concepts.meant(request.sentence) is None
 
+    def refused_looks(self, sentence: str) -> frozenset[str]:
+        """Looks of gates that a person's sentence says are not meant; they are not flown through."""
+        return self.understanding.understand(sentence).refused_looks if sentence else frozenset()
+
     def as_typed(self, sentence: str) -> bool:
         """Whether the pilot is best told a sentence as it is: most of its words are English, or none is known to be."""
         typed, real = self.understanding.typed(sentence), self.understanding.real

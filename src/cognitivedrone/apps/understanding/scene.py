@@ -22,7 +22,7 @@ from cognitivedrone.tasks.families.mission_tasks import landing_task
 from cognitivedrone.tasks.families.symbols import RIVALS, distinct_animals
 from cognitivedrone.tasks.generate import Draw, Panel, Puzzle
 from cognitivedrone.tasks.matching import Match, best_scene
-from cognitivedrone.tasks.missions import is_mission, lands, sub_goals, told
+from cognitivedrone.tasks.missions import LOOKS, asked_of, is_mission, lands, sub_goals, told
 from cognitivedrone.tasks.people import TRAIN_CAST
 from cognitivedrone.tasks.scenario import suite_of
 from cognitivedrone.tasks.suites import drawn_task, suite_of_tasks, suite_of_tracks
@@ -106,16 +106,22 @@ def _mission_scene(
                 task = landing_task(pad, int(rng.integers(3)), COLORS, f"made/{seed}-pad")
                 tasks.append(replace(task, mission=asked))
             continue
-        requests = [evidence.request(said) for said in (goal.instruction, goal.otherwise, goal.condition) if said]
-        for request in requests:
+        requests = {said: evidence.request(said) for said in asked_of(goal)}
+        for request in requests.values():
             if not request.understood:
                 raise NotUnderstood(f"of sub-goal {number + 1}, {not_understood(request, evidence.understanding)}")
         # Where something else is to be there, the scene is one without it.
-        request, hidden = (requests[1], requests[2].labels) if goal.condition else (requests[0], frozenset[str]())
+        request = requests.get(goal.otherwise if goal.condition else goal.instruction) or requests[goal.instruction]
+        hidden = requests[goal.condition].labels if goal.condition else frozenset[str]()
+        never = frozenset[str]().union(*(requests[thing].labels for thing in goal.avoid - LOOKS))
         for again in range(_DRAWS):
             task = made_task(request, (seed, 100 * number + 10_000 * again), frozenset().union(*own.values()))
-            if hidden.isdisjoint(task.labels) and task.gates[task.target or 0].color not in goal.avoid:
+            gate, shown = task.gates[task.target or 0], [label.partition("@")[0] for label in task.labels]
+            wrong = goal.avoid & {gate.color, gate.shape, gate.size} or shown[task.target or 0] in never
+            if not wrong and hidden.isdisjoint(shown):
                 break
+        else:
+            raise NotUnderstood(f"of sub-goal {number + 1}, all that fits is forbidden; leave out one of the two")
         meant = _meant(request, task)
         summary.append(told(goal) if goal.otherwise or goal.avoid else meant)
         tasks.append(replace(task, instruction=goal.instruction, mission=asked))
@@ -153,7 +159,7 @@ def check_evidence(evidence: Evidence, scene: ChosenScene | None, instruction: s
         problem = ""
     else:
         goals = sub_goals(instruction)
-        flown = [goal.instruction for goal in goals if goal.kind == "fly"] if is_mission(goals) else [instruction]
+        flown = [said for goal in goals for said in asked_of(goal)] if is_mission(goals) else [instruction]
         problem = next(filter(None, map(evidence.problem, flown)), "")
     if problem:
         raise NotUnderstood(problem)

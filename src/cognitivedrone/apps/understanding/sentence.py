@@ -14,7 +14,7 @@ _SHORTENED = (
     (r"\b(do|does|did|is|are|was|were|would|should|could|must|have|has)n'?t\b", r"\1 not"),
     (r"\b(?:ca|wo)n'?t\b|\bcannot\b", "can not"),
     (r"'(?:s|re|ve|ll|d|m)\b", ""),
-    (r"\bnon[- ]", "not "),
+    (r"\bnon(?:[- ]|(?=red\b|green\b|blue\b|round\b))", "not "),
     (r"\b(go|fly|head|on|over|thru|through|me) 2 (?=(?:the|teh|that|this|a|an|my)\b)", r"\1 to "),
 )
 _CORRECTIONS = re.compile(
@@ -25,12 +25,14 @@ _CORRECTIONS = re.compile(
     r"[,.;!?]+\s(?=[^,.;!?]*\binstead\b(?! of))"
 )
 _REFUSALS = re.compile(
-    r"\b(?:anything but|everything but|all but|any(?:thing)? except|other than|instead of|rather than|stay away from|"
+    r"\b(?:anything but|everything but|all but|any (?:gate|one) but|any(?:thing)? except|other than|instead of|"
+    r"rather than|stay away from|"
     r"away from|stay clear of|steer clear of|except(?: for)?|avoid(?:ing)?|skip(?:ping)?|ignor(?:e|ing)|not|no|never|"
     r"without|neither|nor|none of|dont|hate|past|nicht|kein\w*|pas|sin|senza|anstatt)\b"
 )
 _CLAUSE_ENDS = re.compile(
-    r"[,.;:!?()]+|\s[-\u2013\u2014]+\s|\b(?:(?<!anything )(?<!everything )(?<!all )but|and then|then|just|"
+    r"[,.;:!?()]+|\s[-\u2013\u2014]+\s|\b(?:(?<!anything )(?<!everything )(?<!all )(?<!any gate )"
+    r"(?<!any one )but|and then|then|just|"
     r"and (?=go|fly|take|choose|pick|find|head|aim)|sondern|mais|sino)\b|"
     r"(?<!not )(?<!to )\b(?=(?:go|fly|head) (?:to|through|thru|for)\b|(?:choose|pick|take) the\b)"
 )

@@ -10,6 +10,7 @@ from rich.text import Text
 from cognitivedrone.benchmark.reasoning.reason import ReasonResults
 from cognitivedrone.benchmark.reasoning.reason_scoring import ReasonScore
 from cognitivedrone.benchmark.reports.tables import DASH, add_parts, interval, new_table, percent, words
+from cognitivedrone.benchmark.scores.transport import TRANSPORT
 from cognitivedrone.text.printable import shown_address
 
 COLUMNS = ("", "n", "gate", "95 % CI", "colour", "shape", "size", "all", "faults")
@@ -45,13 +46,12 @@ def _short(share: float | None) -> str:
 
 def _notes(results: ReasonResults) -> Iterator[Text]:
     summary = results.summary
-    if summary.overall.faults:
-        kinds = ", ".join(f"{words(kind)} {count}" for kind, count in summary.overall.faults.items())
-        first = next(answer for answer in results.answers if answer.fault is not None)
-        yield Text(
-            f"faults, counted as not right: {kinds}; the first at {first.task}: {first.message}",
-            style="yellow",
-        )
+    faults = summary.overall.faults
+    for what, lost in (("faults, counted as not right", False), ("no answer of the server, not counted", True)):
+        kinds = ", ".join(f"{words(kind)} {faults[kind]}" for kind in faults if (kind in TRANSPORT) == lost)
+        if kinds:
+            first = next(each for each in results.answers if each.fault in faults and (each.fault in TRANSPORT) == lost)
+            yield Text(f"{what}: {kinds}; the first at {first.task}: {first.message}", style="yellow")
     if summary.overall.index_given:
         given, right = summary.overall.index_given, summary.overall.index_right
         yield Text(f"answers that report the gate's index: {given}, of them right: {right}")

@@ -113,10 +113,10 @@ def render_report(
     """The page. `traces` correspond to `results.episodes`, in the same order; `tracks` are those of the suite."""
     summary = results.summary()
     films = [_film_view(clip) for clip in _within_budget(clips)]
-    failures = list(_failures(results.episodes, tracks))
+    failures = list(_failures(results.measured, tracks))
     chance = chance_of(summary)
     on_papers = are_papers_tasks(results.episodes)
-    figures = list(_figures(summary, results.episodes, chance))
+    figures = list(_figures(summary, results.measured, chance))
     across = [len(figures) if len(figures) <= most else math.ceil(len(figures) / 2) for most in ONE_ROW]
     filters: dict[str, Callable[..., object]] = {
         "words": words,
@@ -140,7 +140,7 @@ def render_report(
         figures=figures,
         across=across,
         meanings=MEANINGS,
-        rows=list(_rows(summary, results.episodes, results.rule)),
+        rows=list(_rows(summary, results.measured, results.rule)),
         outcomes=OUTCOMES,
         segments=_segments(summary.overall),
         other_rule=next((rule, results.summary(rule).overall) for rule in RULES if rule != results.rule),
@@ -193,6 +193,8 @@ def _figures(summary: Summary, episodes: Sequence[EpisodeResult], chance: float 
         yield Figure("policy errors", str(errors), "counted as not passed")
     if invalid := overall.outcomes["invalid"]:
         yield Figure("not counted", str(invalid), "invalid physics, or a lost vehicle")
+    if summary.unanswered:
+        yield Figure("flights not counted", str(summary.unanswered), "the reasoner's server did not answer")
 
 
 def _rows(summary: Summary, episodes: Sequence[EpisodeResult], rule: Rule) -> Iterator[Row]:

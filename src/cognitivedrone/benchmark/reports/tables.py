@@ -93,6 +93,8 @@ def _sentence(results: Results, summary: Summary, rule: Rule) -> Text:
         text += "; random choice gives a third"
     if left_out := run.suite.left_out:
         text += f" ({left_out})"
+    if lost := summary.unanswered:
+        text += f"; not counted: {lost} of {len(results.episodes)} flights without an answer of the reasoner's server"
     return Text(text, style="bold")
 
 

@@ -21,7 +21,7 @@ from cognitivedrone.envs.track_runner import episode_rng
 from cognitivedrone.errors import PolicyError, PolicyRaised, ReasonerError, RunError
 from cognitivedrone.pilot import Pilot, open_pilot
 from cognitivedrone.tasks.missions import sub_goals
-from cognitivedrone.types import EpisodeResult
+from cognitivedrone.types import EpisodeResult, Event
 from cognitivedrone.vehicles import open_vehicle
 
 
@@ -95,6 +95,8 @@ class PilotRunner:
         except ReasonerError as error:  # raised by its plan alone: in flight they are answers
             self.track_runner.end("policy_error")
             message, trace = f"the mission was not planned: {error}", error.trace
+            log.note(Event(0.0, "segment"))
+            log.note(Event(0.0, error.kind, str(error)))
         if any(result.outcome == "invalid" for result in self.track_runner.results):
             message = self.vehicle.trouble or "the physics diverged"
         result = EpisodeResult(

@@ -30,7 +30,7 @@ from cognitivedrone.benchmark.scores.results import (
     write_whole,
 )
 from cognitivedrone.benchmark.scores.run_types import Rollout
-from cognitivedrone.benchmark.scores.scoring import counts, passes
+from cognitivedrone.benchmark.scores.scoring import counted_of, passes
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import check_no_link, safe_name, writing
 from cognitivedrone.pilot import Pilot, on_card
@@ -40,7 +40,7 @@ from cognitivedrone.rollout.process_pool import ProcessPool, no_processes, say_i
 from cognitivedrone.rollout.ray_pool import RayPool
 from cognitivedrone.system.interrupts import watched
 from cognitivedrone.terminal import console
-from cognitivedrone.terminal.progress import progress_bar
+from cognitivedrone.terminal.progress import progress_bar, redraws
 from cognitivedrone.text.printable import shown_address
 from cognitivedrone.types import EpisodeResult, Track
 from cognitivedrone.vehicles.external import LinkReport
@@ -75,7 +75,7 @@ def run(
         # Write nothing before the workers are ready: a pilot that cannot be made must not change the folder.
         # In older releases of rich, a quiet console ends a status with an empty line.
         screen = console(stderr=True)
-        with screen.status("starting the simulators") if progress else nullcontext():
+        with screen.status("starting the simulators") if progress and redraws(screen) else nullcontext():
             pool = stack.enter_context(_pool_of(Flights(job, runner), max(len(missing), 1), pilot))
         folder = stack.enter_context(
             RunFolder(path, facts, tracks=job.suite.tracks, resume=plan.resume, overwrite=plan.overwrite)
@@ -158,7 +158,7 @@ def _fly_missing(
     """Fly the missing episodes and record each as it ends; returns the link statistics, if any."""
     plan, total = job.plan, len(job.episodes)
     link: LinkReport | None = None
-    stages = [stage for record in folder.records.values() for stage in record.result.stages if counts(stage)]
+    stages = [stage for record in folder.records.values() for stage in counted_of(record.result)]
     passed, counted = sum(passes(stage, plan.rule) for stage in stages), len(stages)
     with progress_bar("speed", "rate", show=show) as bar:
         task = bar.add_task("flying", total=total, completed=total - len(missing), speed="starting", rate="")
@@ -168,7 +168,7 @@ def _fly_missing(
             folder.append(flown, renderer)
             if flown.link is not None:
                 link = (link or LinkReport()) + flown.link
-            new = [stage for stage in flown.result.stages if counts(stage)]
+            new = counted_of(flown.result)
             passed, counted = passed + sum(passes(stage, plan.rule) for stage in new), counted + len(new)
             bar.update(
                 task,

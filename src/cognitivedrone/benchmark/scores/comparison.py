@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -17,6 +17,7 @@ from cognitivedrone.benchmark.scores.scoring import (
     pair,
     passes,
 )
+from cognitivedrone.benchmark.scores.transport import unanswered
 from cognitivedrone.errors import RunError
 from cognitivedrone.plan import Rule
 from cognitivedrone.types import ALL_CATEGORIES, Category, StageResult
@@ -129,7 +130,12 @@ def _difference(pairs: list[tuple[StageResult, StageResult]], rule: Rule) -> Dif
 
 
 def _by_task(results: Results, name: str) -> dict[str, StageResult]:
-    stages = [stage for episode in results.episodes for stage in episode.stages]
+    """The stages by task; those of flights that are not counted as invalid."""
+    stages = [
+        replace(stage, outcome="invalid") if unanswered(episode) else stage
+        for episode in results.episodes
+        for stage in episode.stages
+    ]
     by_task = {stage.task_id: stage for stage in stages}
     if len(by_task) != len(stages):
         raise RunError(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import platform
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +15,7 @@ from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.scores.codec import decode, dumps, encode, read_document
 from cognitivedrone.benchmark.scores.published import are_papers_tasks, paper_rows
 from cognitivedrone.benchmark.scores.scoring import RULES, Summary, summarize
-from cognitivedrone.benchmark.scores.transport import not_measured
+from cognitivedrone.benchmark.scores.transport import not_measured, unanswered
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import replace_file, writing
 from cognitivedrone.plan import Rule
@@ -110,8 +111,19 @@ class Results:
     @property
     def not_measured(self) -> str:
         """Why the run is no measurement of its reasoner; empty if it is one, or has none."""
-        told = self.summary().overall.reasoner
-        return "" if told is None else not_measured(told.faults, told.answers + sum(told.faults.values()))
+        reports = [
+            stage.reasoner for episode in self.episodes for stage in episode.stages if stage.reasoner is not None
+        ]
+        faults = sum((Counter(report.faults) for report in reports), Counter[str]())
+        why = not_measured(faults, sum(report.answers for report in reports) + faults.total())
+        if why or self.measured or not self.episodes:
+            return why
+        return "this is not a measurement: in every flight the reasoner's server left a question without an answer"
+
+    @property
+    def measured(self) -> tuple[EpisodeResult, ...]:
+        """The flights that are counted."""
+        return tuple(episode for episode in self.episodes if not unanswered(episode))
 
 
 def versions() -> dict[str, str]:

@@ -1,7 +1,8 @@
 """Scores from episode results. Pure arithmetic.
 
-Every stage is worth one point. `invalid` stages (the physics diverged) are not counted but reported separately; every
-other stage counts, including those of a failed policy and the later stages of a track that ended early.
+Every stage is worth one point. `invalid` stages (the physics diverged) are not counted but reported separately, and
+neither are flights in which the reasoner's server did not answer; every other stage counts, including those of a failed
+policy and the later stages of a track that ended early.
 
 Sources: E. B. Wilson, Probable inference (1927), for intervals of rates; R. G. Newcombe, Interval estimation for the
 difference between independent / paired proportions (Statistics in Medicine 17, 1998), for means and differences of
@@ -18,6 +19,7 @@ from dataclasses import dataclass, field
 from typing import Final, get_args
 
 from cognitivedrone.benchmark.scores.mission_score import MissionScore, missions_of
+from cognitivedrone.benchmark.scores.transport import unanswered
 from cognitivedrone.plan import Rule
 from cognitivedrone.types import (
     ALL_CATEGORIES,
@@ -166,6 +168,8 @@ class Summary:
     """None where nothing was in the way."""
     missions: MissionScore | None = field(default=None, metadata={"json": "where set"})
     """None where no mission was flown."""
+    unanswered: int = field(default=0, metadata={"json": "where set"})
+    """Episodes that are left out of everything above, because the reasoner's server did not answer in them."""
 
 
 def passes(stage: StageResult, rule: Rule) -> bool:
@@ -185,6 +189,11 @@ def chose_right(stage: StageResult) -> bool:
 def counts(stage: StageResult) -> bool:
     """Whether a stage enters the score."""
     return stage.outcome != "invalid"
+
+
+def counted_of(episode: EpisodeResult) -> list[StageResult]:
+    """The stages of a flight that enter the score."""
+    return [] if unanswered(episode) else [stage for stage in episode.stages if counts(stage)]
 
 
 def score(stages: Iterable[StageResult], rule: Rule = "through") -> Score:
@@ -244,6 +253,7 @@ def _longest_row(reports: Sequence[ReasonerReport]) -> int:
 
 def summarize(episodes: Sequence[EpisodeResult], rule: Rule = "through") -> Summary:
     """Scores overall, mean of categories, by category and by family."""
+    flown, episodes = len(episodes), [episode for episode in episodes if not unanswered(episode)]
     stages = [stage for episode in episodes for stage in episode.stages]
     by_category = {category: [s for s in stages if s.category == category] for category in ALL_CATEGORIES}
     categories = {category: score(part, rule) for category, part in by_category.items() if part}
@@ -259,6 +269,7 @@ def summarize(episodes: Sequence[EpisodeResult], rule: Rule = "through") -> Summ
         false_alarms=false_alarms_of(stages),
         obstacles=obstacles_of(stages, rule),
         missions=missions_of(episodes, lambda stage: passes(stage, rule)),
+        unanswered=flown - len(episodes),
     )
 
 

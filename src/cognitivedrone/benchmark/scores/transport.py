@@ -5,10 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
+from cognitivedrone.types import EpisodeResult
+
 TRANSPORT: Final = frozenset({"unreachable", "http"})
 """Kinds of `ReasonerError` that say nothing of the reasoner."""
 MOST: Final = 0.05
 """Share of the questions above which a run measures the server."""
+
+
+def unanswered(episode: EpisodeResult) -> bool:
+    """Whether a question of a flight got no answer from the server: such a flight is not counted."""
+    return any(stage.reasoner is not None and TRANSPORT & stage.reasoner.faults.keys() for stage in episode.stages)
 
 
 def not_measured(faults: Mapping[str, int], asked: int) -> str:

@@ -2,8 +2,10 @@
 
 from cognitivedrone.tasks.missions.corrections import rejects
 from cognitivedrone.tasks.missions.parts import LONGEST, lands, pad_directive
+from cognitivedrone.tasks.missions.phrases import LOOKS
 from cognitivedrone.tasks.missions.reading import (
-    forbidden_colors,
+    asked_of,
+    forbidden,
     is_mission,
     problem_of,
     read,
@@ -13,7 +15,9 @@ from cognitivedrone.tasks.missions.reading import (
 
 __all__ = [
     "LONGEST",
-    "forbidden_colors",
+    "LOOKS",
+    "asked_of",
+    "forbidden",
     "is_mission",
     "lands",
     "pad_directive",

@@ -9,13 +9,17 @@ from typing import Any, Final
 
 from lark import Token, Tree
 
-from cognitivedrone.tasks.missions.phrases import COLOR_WORDS, GO, LOOK, NEGATION, NUMBERS
+from cognitivedrone.tasks.missions.phrases import COLOR_WORDS, GO, LOOK_WORDS, NEGATION, NUMBERS
 from cognitivedrone.types import COLORS, Color, SubGoal
 
 LONGEST: Final = 12
 """Sub-goals of one mission."""
 SAY: Final = "say it as 'first the dog, then the cat, never through red, then land on the blue pad'"
-IT: Final = re.compile(rf"(?:{GO}\s+|for\s+)*(?:it|that|that one|this one|there|go|fly)?\W*", re.I)
+IT: Final = re.compile(
+    rf"(?:{GO}\s+|for\s+|zu\s+|à\s+)*(?:it|that|that one|this one|there|go|fly|hin|dorthin|dahin|ihn|ihm|sie|ihr|es|"
+    r"l[àea]|lui|elle|vas-y)?\W*",
+    re.I,
+)
 _HE = re.compile(r"\b(?:it|that animal|this animal|that thing|that one)\b", re.I)
 OPENING: Final = re.compile(
     rf"^(?:please\s+)?(?:{GO}\s+)*(?:(?:the\s+)?(?:gate|one|panel)\s+(?:with|showing|that shows|of)\s+)?", re.I
@@ -31,8 +35,14 @@ _UNSURE = re.compile(
     re.I,
 )
 """Before a number of times: it is another one, or none that is sure."""
-_MANY = re.compile(r"\b(?:and|or|two|three|four|several|many|more|least|only|both)\b", re.I)
+_MANY = re.compile(
+    r"\b(?:and|or|two|three|four|several|many|more|least|only|both|und|oder|zwei|drei|vier|mehrere|viele|beide|"
+    r"et|ou|deux|trois|quatre|plusieurs)\b",
+    re.I,
+)
 """In a condition: more than one thing is to be there."""
+_TESTED = re.compile(r"\s*(?:\b(?:da|dort|hier|zu sehen|gibt|ist|siehst|findest|est|ici|là)\b\W*)+$", re.I)
+"""After the thing of a condition: "wenn es einen Hund gibt"."""
 _DENIES = re.compile(rf"(?:{NEGATION}|other|but|than)$", re.I)
 
 
@@ -63,11 +73,11 @@ def flown(step: Tree[Any], text: str, before: Sequence[SubGoal]) -> list[SubGoal
     trees = [child for child in step.children if isinstance(child, Tree)]
     if step.data == "if_any":
         (found,) = flown(trees[0], text, before)
-        return [replace(found, otherwise=sentence_of(said_in(trees[1], text)))]
+        return [replace(found, otherwise=_branch(trees[1], text))]
     if step.data == "conditional":
-        test, act, other = (said_in(tree, text) for tree in trees)
+        test, act, other = (_TESTED.sub("", said_in(trees[0], text)), *(_branch(tree, text) for tree in trees[1:]))
         marks = " ".join(str(child) for child in step.children if getattr(child, "type", "") in ("IF", "NOT"))
-        if not re.match(r"(?:and\s+)?if\b", marks, re.I):
+        if re.search(r"\bunless\b|in case", marks, re.I):
             raise NotFlownError(f"has the condition {marks!r}; say 'if there is a dog, take it, otherwise the cat'")
         if _MANY.search(test) and "number" not in test:
             raise NotFlownError(f"has the condition {test!r}; name one thing that is to be there")
@@ -75,9 +85,13 @@ def flown(step: Tree[Any], text: str, before: Sequence[SubGoal]) -> list[SubGoal
         here, there = (other, act) if denied else (act, other)  # flown if the tested thing is there, or if it is not
         if IT.fullmatch(there):
             raise NotFlownError(f"flies to {test!r} where there is none; say what to fly to then")
+        if lands(here)[0] and lands(there)[0]:
+            raise NotFlownError("lands in any case; say 'land'")
         if IT.fullmatch(here):
             return [SubGoal("fly", sentence_of(test), sentence_of(there))]
-        return [SubGoal("fly", sentence_of(here), sentence_of(there), condition=sentence_of(test))]
+        if lands(here)[0]:
+            return [SubGoal("fly", sentence_of(there), here, sentence_of(test), absent=True)]
+        return [SubGoal("fly", sentence_of(here), sentence_of(there), sentence_of(test))]
     counts = [child for child in step.children if isinstance(child, Token) and child.type == "TIMES"]
     words = said_in(step, text)
     for token in counts:
@@ -90,6 +104,15 @@ def flown(step: Tree[Any], text: str, before: Sequence[SubGoal]) -> list[SubGoal
     if noun and len(noun.split()) <= 6 and not _HE.search(noun):
         words = _HE.sub(noun, words, count=1)
     return [SubGoal("fly", sentence_of(words))] * _count(counts)
+
+
+def _branch(tree: Tree[Any], text: str) -> str:
+    """What is done in one of the two cases of a condition."""
+    if tree.data != "landing":
+        return said_in(tree, text)
+    if color := pad_of(tree, text):
+        raise NotFlownError(f"lands on the {color} pad under a condition; say 'otherwise land', or name one pad")
+    return pad_directive(None)
 
 
 def _count(tokens: Sequence[Token]) -> int:
@@ -124,9 +147,9 @@ def pad_of(landing: Tree[Any], text: str) -> Color | None:
     return allowed[0] if wanted or refused else None
 
 
-def objects_of(said: str) -> tuple[set[Color], list[str]]:
-    """The colours of gates, and the things, that a prohibition names."""
-    colors, things = set[Color](), list[str]()
+def objects_of(said: str) -> set[str]:
+    """What a prohibition names: looks of gates, and things, each as a sentence that asks for it."""
+    found = set[str]()
     for part in re.split(r"\s*[,;]\s*(?:and\s+|or\s+|nor\s+)?|\s+(?:and|or|nor|und|oder|et|ou)\s+", said):
         words = re.sub(
             rf"\b(?:{NEGATION}|do|fly|go|through|thru|take|use|avoid|the|an?|any|all|both|either|gates?|ones?|frames?|"
@@ -136,18 +159,17 @@ def objects_of(said: str) -> tuple[set[Color], list[str]]:
             part,
             flags=re.I,
         ).split()
-        found = [COLOR_WORDS.get(word.lower()) for word in words]
+        looks = {LOOK_WORDS.get(word.lower()) for word in words}
         if re.match(rf"{GO}\b", " ".join(words), re.I):
             raise NotFlownError(f"forbids {said!r}, which is not understood; {SAY}")
-        if words and all(found):
-            colors |= {color for color in found if color}
-        elif any(found) or any(re.fullmatch(LOOK, word, re.I) for word in words):
-            raise NotFlownError(f"forbids {part!r}; gates are forbidden by their colour alone, red, green or blue")
-        elif words:
-            things.append(part.strip())
-    if not colors and not things:
+        if any(looks) and (len(looks) > 1 or None in looks):
+            raise NotFlownError(f"forbids {part!r}; forbid gates by one word: a colour, a shape or a size")
+        if words:
+            thing = OPENING.sub("", re.sub(rf"^(?:(?:{NEGATION}|avoid|skip|away|from|do|ever)\s+)+", "", part.strip()))
+            found |= {look for look in looks if look} or {f"Fly to {thing}"}
+    if not found:
         raise NotFlownError(f"forbids {said!r}, which is not understood; {SAY}")
-    return colors, things
+    return found
 
 
 def sentence_of(text: str) -> str:
@@ -157,6 +179,6 @@ def sentence_of(text: str) -> str:
     )
     if re.match(r"(?:through|thru|to|into|under|back)\b", text, re.I):
         return f"Fly {text}"
-    if re.match(rf"{GO}\b", text, re.I):
+    if re.match(rf"{GO}\b", text, re.I) or lands(text)[0]:
         return text[0].upper() + text[1:]
     return f"Fly to {text}" if text else text

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Final
 
 from lark import Token
 
-from cognitivedrone.types import COLORS, SHAPES, SIZES, Color
+from cognitivedrone.types import COLORS, SHAPES, SIZES, Color, Shape, Size
 
 _TRANSLATED: Final[dict[Color, str]] = {
     "red": "rot rote roten rotem roter rotes rouge rouges rojo roja rosso rossa",
@@ -21,9 +22,21 @@ _TRANSLATED: Final[dict[Color, str]] = {
 }
 COLOR_WORDS: Final = {word: color for color in COLORS for word in (color, *_TRANSLATED[color].split())}
 """The colours of gates and pads, in the languages of orders."""
+LOOKS: Final = frozenset[str]((*COLORS, *SHAPES, *SIZES))
+_SPOKEN: Final[dict[Shape | Size, str]] = {
+    "round": "circle circles circular rund runde runden runder rundes rond ronds ronde rondes",
+    "square": "squares quadratisch quadratische quadratischen quadratischer carré carrés carrée carrées",
+    "triangle": "triangles triangular dreieckig dreieckige dreieckigen dreieckiger triangulaire triangulaires",
+    "big": "large groß große großen großer grosse grossen grosser grand grands grande grandes",
+    "small": "little klein kleine kleinen kleiner petit petits petite petites",
+}
+LOOK_WORDS: Final[dict[str, str]] = COLOR_WORDS | {
+    word: look for look, words in _SPOKEN.items() for word in (look, *words.split())
+}
+"""The looks of gates, in the languages of orders."""
 GO = (
     r"(?:fly|go|head|take|pass|visit|pick|choose|find|look for|get|steer|aim|make for|do|through|thru|to|into|under|"
-    r"hit|see|hover over|hover at|fliege?|geh|vole|va|vuela|vola|vai)"
+    r"hit|see|hover over|hover at|fliege?|geh|nimm|vole|va|prends?|vuela|vola|vai)"
 )
 LANDING = (
     r"(?:(?:(?:come|go|fly)\s+(?:back\s+)?down(?=\s+(?:on|at)\b|\W*$)|come\s+(?:back\s+)?down|"
@@ -55,7 +68,7 @@ NUMBERS: Final = {
     "twice": 2, "thrice": 3, "one": 1, "two": 2, "three": 3, "four": 4, "five": 5, "six": 6, "seven": 7, "eight": 8,
     "nine": 9, "ten": 10, "eleven": 11, "twelve": 12, "dozen": 12,
 }  # fmt: skip
-LOOK = "|".join((*COLOR_WORDS, *SHAPES, *SIZES, "triangular", "triangles", "circles?", "squares", "circular"))
+LOOK = "|".join(LOOK_WORDS)
 _LOOKS = re.compile(
     rf"(?:\b(?:the|an?|any|all|or|and|nor|both|either|{LOOK}|gates?|ones?|frames?|on the way|ever|though|please|"
     rf"le|la|les|das|dem|den|der|die|tore?|portes?)\b"
@@ -133,13 +146,15 @@ _PATTERNS: Final = {
         rf"(?:you\s+(?:can\s+|may\s+|should\s+|must\s+)?)?\b{LANDING}",
         "ELSE": r"[,;.\s]*(?:\bor\s+)?(?<!one )(?<!body )(?<!where )(?<!thing )\b(?:otherwise|else|if not|sinon|"
         r"sonst|ansonsten|"
-        r"andernfalls)\b[,\s]*",
+        r"andernfalls)\b[,\s]*(?:(?:just|simply|please)\s+)?",
         "IF_ANY": r"if\s+(?:there(?:'s|\s+is)\s+(?:one|any)|you\s+(?:can\s+)?(?:see|find|spot)\s+(?:one|it|any))\b",
-        "IF": r"(?:and\s+)?(?:s'il y a|(?:if|wenn|falls|si|in case|unless)\s+(?:there(?:'?s|\s+are|\s+is)?(?!\w|"
+        "IF": r"(?:and\s+)?(?:s'il (?:n'y|y) (?:en )?a|gibt es|"
+        r"(?:wenn|falls|si)\s+(?=(?:der|die|das|eine?n?|le|la|une?)\b)|(?:if|wenn|falls|si|in case|unless)\s+"
+        r"(?:there(?:'?s|\s+are|\s+is)?(?!\w|"
         r"')|there (?=isn|aren)|"
         r"you\s+(?:can\s+|do ?n[o']?t\s+|can(?:no|')t\s+)?(?:see|find|spot)|(?:one of them|one|a gate|"
         r"any gate)\s+(?:shows|has)|"
-        r"es\b|il y a|no\b|not\b))",
+        r"es\b|du\b|da\b|dort\b|il y a|tu (?:ne )?(?:vois|trouves)|no\b|not\b))",
         "TIMES": rf"[,\s]*(?:\b(?:twice|thrice)\b|(?:(?<!\S)an?\s+)?(?<!\S){_COUNT}\s+times\b|"
         rf"(?<!\S){_COUNT}\s?x(?=\s+(?:the|an?)\b|\s*(?:$|[,;.])))"
         rf"(?!\s+\d|\s+(?:{'|'.join(NUMBERS)})\b|\s+(?:too|as|over|when)\b)",
@@ -207,7 +222,8 @@ def phrases(text: str) -> Iterator[Token]:
         if text[at] == " ":
             at += 1
             continue
-        begins = run < 0 and not set(found) - {"SEP", "NEVER", "LOOKS", "FIRST"}
+        before = {name for last, name in pairwise(["", *found]) if (last, name) != ("NEVER", "TEXT")}
+        begins = run < 0 and not before - {"SEP", "NEVER", "LOOKS", "FIRST"}
         name, end = _phrase(text, at, "" if run < 0 else text[run:at], numbered, "FIRST" in found, begins=begins)
         if name:
             yield from ended()

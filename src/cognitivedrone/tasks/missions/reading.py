@@ -22,7 +22,6 @@ from lark.lexer import Lexer
 from cognitivedrone.tasks.missions.parts import (
     IT,
     LONGEST,
-    OPENING,
     SAY,
     NotFlownError,
     flown,
@@ -33,8 +32,8 @@ from cognitivedrone.tasks.missions.parts import (
     said_in,
     sentence_of,
 )
-from cognitivedrone.tasks.missions.phrases import COLOR_WORDS, DESCRIBES, GO, LOOK, NEGATION, STRANGE, phrases
-from cognitivedrone.types import COLORS, Color, SubGoal
+from cognitivedrone.tasks.missions.phrases import DESCRIBES, GO, LOOK, LOOK_WORDS, LOOKS, NEGATION, STRANGE, phrases
+from cognitivedrone.types import COLORS, SHAPES, SIZES, SubGoal
 
 LONGEST_SENTENCE: Final = 2000
 """Characters of a mission."""
@@ -50,11 +49,15 @@ _CALCULATES = re.compile(
     re.I,
 )
 """Said of calculations, which have steps, too."""
+_THROUGH = re.compile(r"\b(?:through|thru|past|cross(?:ing)?|enter(?:ing)?|durch|par)\b", re.I)
+"""Of a prohibition of gates; others, "avoid both alcohol and cheese", may be a description of the only goal."""
 _NAMED = re.compile(
     rf"(?:{GO}|the|a|an|any|some|whatever|whoever|whichever|what|who|come|back|that (?:with|of|showing))\b|\W*\d", re.I
 )
 _PLACES = re.compile(
-    r"\b(?:heli)?pads?\b|\b(?:otherwise|else|if not)\b,?\s+(?:there\s+)?(?:to\s+)?(?:the|an?|fly|go)\b", re.I
+    r"\b(?:heli)?pads?\b|\b(?:sonst|sinon|ansonsten|andernfalls)\b|"
+    r"\b(?:otherwise|else|if not)\b,?\s+(?:there\s+)?(?:to\s+)?(?:the|an?|fly|go)\b",
+    re.I,
 )
 """Words of a landing and of a condition that are never those of a thing."""
 _BANS = re.compile(
@@ -157,7 +160,10 @@ def read(sentence: str) -> Reading:
     banned = ("NEVER", "LOOKS") in pairwise(names)
     if goals is None and (sure or banned or (steps and ("NEVER" in names or _BANS.search(text)))):
         return Reading(alone, _left_over(text, 0))
-    if goals is None or not is_mission(goals):
+    only = goals[0].avoid if goals is not None and len(goals) == 1 and not goals[0].otherwise else frozenset[str]()
+    described = only and not only & LOOKS
+    through = any(token.type == "NEVER" and _THROUGH.search(token) for token in tokens)
+    if goals is None or not is_mission(goals) or (described and not through):
         return Reading(alone, _left_over(text, 0) if sure else "")
     return Reading(goals, problem_of(goals))
 
@@ -183,42 +189,55 @@ def problem_of(goals: Sequence[SubGoal]) -> str:
             return f"lands by {goal.instruction!r}; write it as {pad_directive('red')!r}"
         if goal.kind == "land":
             continue
-        for said in filter(None, (goal.instruction, goal.otherwise, goal.condition)):
+        for said in asked_of(goal):
             head = DESCRIBES.split(said, maxsplit=1)[0]  # what describes a thing may deny and oppose
             if strange := STRANGE.search(said) or _MOVES.search(said) or _OPPOSES.search(head) or _IDLE.search(said):
                 return f"has {strange[0]!r} in sub-goal {number}, {said!r}, which is not understood; {SAY}"
-            if color := next((color for color in COLORS if color in goal.avoid and _asks_for(said, color)), None):
-                return f"asks for the {color} gate and forbids it; leave out one of the two"
-        if goal.avoid.issuperset(COLORS):
+            wanted = said in (goal.instruction, goal.otherwise)
+            if wanted and (look := next((each for each in sorted(goal.avoid) if _asks_for(said, each)), "")):
+                return f"asks for {_forbidden(look)} and forbids it; leave out one of the two"
+        if any(goal.avoid.issuperset(every) for every in (COLORS, SHAPES, SIZES)):
             return "forbids every gate; leave one that it may fly through"
     return ""
 
 
+def asked_of(goal: SubGoal) -> tuple[str, ...]:
+    """The sentences that a reasoner is asked about in a sub-goal; none for a landing."""
+    otherwise = "" if lands(goal.otherwise)[0] else goal.otherwise
+    said = (goal.instruction, otherwise, goal.condition, *sorted(goal.avoid - LOOKS))
+    return tuple(filter(None, said)) if goal.kind == "fly" else ()
+
+
 def told(goal: SubGoal) -> str:
     """A sub-goal as it was understood, for people."""
-    never = f", never through {' or '.join(color for color in COLORS if color in goal.avoid)}" if goal.avoid else ""
+    order = [*COLORS, *SHAPES, *SIZES]
+    avoid = sorted(goal.avoid, key=lambda each: (order.index(each), "") if each in order else (len(order), each))
+    never = f", never through {' or '.join(each.removeprefix('Fly to ') for each in avoid)}" if avoid else ""
     if not goal.otherwise:
         return goal.instruction + never
-    test = f"{goal.condition} is possible: " if goal.condition else ""
-    said = (
-        f"if {test}{goal.instruction}, otherwise: {goal.otherwise}"
-        if test
-        else f"{goal.instruction}, or else: {goal.otherwise}"
-    )
-    return said + never
+    if not goal.condition:
+        return f"{goal.instruction}, or else: {goal.otherwise}{never}"
+    test = f"{goal.condition} is {'not ' if goal.absent else ''}possible"
+    return f"if {test}: {goal.instruction}, otherwise: {goal.otherwise}{never}"
 
 
-def _asks_for(said: str, color: Color) -> bool:
-    """Whether a goal is a gate of a colour, not a thing of it."""
-    words = "|".join(word for word, of in COLOR_WORDS.items() if of == color)
+def _forbidden(avoided: str) -> str:
+    return f"the {avoided} gate" if avoided in LOOKS else repr(avoided.removeprefix("Fly to "))
+
+
+def _asks_for(said: str, avoided: str) -> bool:
+    """Whether a goal is a gate of a look, not a thing of it, or the thing that is never flown through."""
+    if avoided not in LOOKS:
+        return re.search(rf"\b{re.escape(avoided.removeprefix('Fly to '))}\b", said, re.I) is not None
+    words = "|".join(word for word, of in LOOK_WORDS.items() if of == avoided)
     gate = rf"\b(?:{words})\b(?=[\w\s]*\b(?:gate|one|triangle|square|circle|ring|hoop|frame)\b|(?:\s+(?:{LOOK}))*\W*$)"
     wanted = re.split(rf"\b{NEGATION}\b", said, maxsplit=1, flags=re.I)[0]
     return re.search(gate, wanted, re.I) is not None
 
 
-def forbidden_colors(mission: str) -> frozenset[Color]:
-    """The colours of gates that a mission says are never to be flown through."""
-    return frozenset(color for goal in read(mission).goals for color in goal.avoid)
+def forbidden(mission: str) -> frozenset[str]:
+    """What a mission says is never to be flown through."""
+    return frozenset[str]().union(*(goal.avoid for goal in read(mission).goals))
 
 
 def _left_over(text: str, at: int | None) -> str:
@@ -232,7 +251,7 @@ def _left_over(text: str, at: int | None) -> str:
 def _goals(tree: Tree[Any], text: str) -> tuple[SubGoal, ...] | None:
     """The sub-goals of a parsed sentence; none if it is rather a calculation, or a story."""
     goals: list[SubGoal] = []
-    avoid, things = set[Color](), list[str]()
+    avoid = set[str]()
     listed = False
     first = next((child for child in tree.children if isinstance(child, Tree)), None)
     if first is not None and first.data == "forbidden":
@@ -245,12 +264,11 @@ def _goals(tree: Tree[Any], text: str) -> tuple[SubGoal, ...] | None:
             raise NotFlownError(f"forbids {said_in(first.children[1], text)!r}, and perhaps what follows; {SAY}")
     for item in _items(tree):
         if item.data == "forbidden":
-            colors, others = objects_of(said_in(item.children[1], text))
+            avoid |= objects_of(said_in(item.children[1], text))
             if goals and goals[-1].instruction == pad_directive(None) and _EXCEPTS.match(said_in(item, text)):
                 raise NotFlownError(
                     f"lands, and then says {said_in(item, text)!r}; say 'land on a pad that is not red'"
                 )
-            avoid, things = avoid | colors, things + others
             continue
         if item.data == "landing":
             goals.append(SubGoal("land", pad_directive(pad_of(item, text))))
@@ -266,24 +284,7 @@ def _goals(tree: Tree[Any], text: str) -> tuple[SubGoal, ...] | None:
         goals[:] = [SubGoal("fly", sentence_of(part)) for part in _listed(said_in(in_order, text))]
     if _is_no_mission(tree, text, goals, listed=listed):
         return None
-    if any(
-        re.search(rf"\b{re.escape(OPENING.sub('', thing))}\b", goal.instruction, re.I)
-        for thing in things
-        for goal in goals
-    ):
-        raise NotFlownError(f"asks for {' and '.join(map(repr, things))} and forbids it; leave out one of the two")
-    but = f", but not {' or '.join(things)}" if things else ""
-    return tuple(
-        replace(
-            goal,
-            instruction=goal.instruction + but,
-            otherwise=goal.otherwise and goal.otherwise + but,
-            avoid=frozenset(color for color in COLORS if color in avoid),
-        )
-        if goal.kind == "fly"
-        else goal
-        for goal in goals
-    )
+    return tuple(replace(goal, avoid=frozenset(avoid)) if goal.kind == "fly" else goal for goal in goals)
 
 
 def _items(tree: Tree[Any]) -> Iterator[Tree[Any]]:
