@@ -118,7 +118,7 @@ def collect_over_damage(out: Path, whole: Path) -> None:
 
 def bench_into(out: Path) -> None:
     """A small benchmark run, or what is left of it."""
-    bench(_bench_config(out), progress=False, runner="played_flights:PlayedRunner")
+    bench(_bench_config(out), progress=False, runner=PlayedRunner)
 
 
 def state(folder: Path) -> dict[str, str]:

@@ -25,8 +25,8 @@ from cognitivedrone.apps.bag import BagLog
 from cognitivedrone.apps.log import FlightLog
 from cognitivedrone.apps.values import Step
 from cognitivedrone.data.episode import decode_image
-from cognitivedrone.data.formats import bags
-from cognitivedrone.data.formats.bags import Ros
+from cognitivedrone.data.formats import mcap
+from cognitivedrone.data.formats.mcap import Ros
 from cognitivedrone.errors import CameraError, GazeboError, MissingExtra, RunError
 from cognitivedrone.types import Event, Guidance, Observation
 from cognitivedrone.vehicles.contract import Status
@@ -93,14 +93,14 @@ def test_a_bag_holds_what_was_seen_sent_and_reported(tmp_path):
 
 
 def test_a_full_disk_ends_the_bag_and_is_counted(tmp_path, monkeypatch):
-    write = bags.Bag.write
+    write = mcap.Bag.write
 
-    def full_at_events(bag: bags.Bag, topic: str, stamp_ns: int, message: object) -> None:
+    def full_at_events(bag: mcap.Bag, topic: str, stamp_ns: int, message: object) -> None:
         if topic == "/event":
             raise OSError(28, "No space left on device")
         write(bag, topic, stamp_ns, message)
 
-    monkeypatch.setattr(bags.Bag, "write", full_at_events)
+    monkeypatch.setattr(mcap.Bag, "write", full_at_events)
     log = BagLog(tmp_path / "bag", Ros(), {})
     log.step(step(0.0, "go"))
     for i in range(3):

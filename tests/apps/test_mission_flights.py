@@ -182,9 +182,9 @@ def test_a_mission_that_is_typed_in_flight_and_not_understood_is_not_flown(tmp_p
 
 
 def test_of_a_condition_the_other_thing_is_flown_to_where_it_does_not_hold(tmp_path):
-    summary = flying("if there is a bus take the dog, otherwise the elephant", tmp_path / "out")
+    summary = flying("if there is a bus take the dog, otherwise the owl", tmp_path / "out")
     (task,) = summary.track
-    assert task.labels[task.target].startswith("animal/elephant")
+    assert task.labels[task.target].startswith("animal/owl")
     assert not any("bus" in label for label in task.labels)
     assert [result.outcome for result in summary.results] == ["passed"]
 
@@ -192,7 +192,7 @@ def test_of_a_condition_the_other_thing_is_flown_to_where_it_does_not_hold(tmp_p
 @pytest.mark.parametrize(
     ("sentence", "flown"),
     [
-        ("if there is a guitar fly to it, otherwise land", None), ("if there is a koala land, else the crab", None),
+        ("if there is a bus fly to it, otherwise land", None), ("if there is a koala land, else the crab", None),
         ("if there is a zebra land, otherwise the crab", "crab"), ("s'il y a un koala, vas-y, sinon atterris", "koala"),
         ("wenn es einen Koala gibt, nimm die Krabbe, sonst den Schmetterling", "crab"),
         ("the animal, never through the koala", "crab butterfly"), ("an animal, never through square gates", "crab"),

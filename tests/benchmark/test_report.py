@@ -7,6 +7,7 @@ from dataclasses import replace
 from html.parser import HTMLParser
 
 import av
+import benchmark_fakes
 import numpy as np
 import pytest
 from benchmark_fakes import FakeRunner
@@ -26,7 +27,7 @@ from cognitivedrone.tasks.scenario import suite_of
 from cognitivedrone.types import GatePlace
 from cognitivedrone.world import geometry
 
-RUNNER = "benchmark_fakes:FakeRunner"
+RUNNER = benchmark_fakes.FakeRunner
 
 
 class Page(HTMLParser):
@@ -279,7 +280,7 @@ def test_films_that_do_not_fit_are_left_out_and_reported(pieces, monkeypatch):
 
 
 def test_a_pilot_that_flies_differently_the_second_time_is_reported(config):
-    run(config.changed(clips=12), progress=False, runner="benchmark_fakes:FickleRunner")
+    run(config.changed(clips=12), progress=False, runner=benchmark_fakes.FickleRunner)
     assert "the pilot is not deterministic" in (config.out / "report.html").read_text()
     run(config.changed(clips=12, overwrite=True), progress=False, runner=RUNNER)
     assert "the pilot is not deterministic" not in (config.out / "report.html").read_text()

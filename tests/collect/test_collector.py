@@ -20,7 +20,7 @@ from cognitivedrone.collect import collector
 from cognitivedrone.collect.collector import CollectPlan, collect
 from cognitivedrone.collect.job import Job
 from cognitivedrone.collect.recipe import RECIPES
-from cognitivedrone.data.layout import WRITING
+from cognitivedrone.data.manifest import WRITING
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError, MissingExtra, PolicyError, TaskError, UsageError
 from cognitivedrone.files.locks import sole_writer

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path
 
-from cognitivedrone.data.checksums import SUMS, sums_text
 from cognitivedrone.data.episode import Episode
+from cognitivedrone.data.manifest import SUMS, sums_text
 from cognitivedrone.data.store_writer import StoreWriter
 
 RECIPE = {"name": "test", "kick_rate": 0.1, "speed_m_s": (1.0, 2.5)}

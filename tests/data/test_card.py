@@ -14,10 +14,9 @@ from factory import make_episode
 from made_stores import write_store
 
 from cognitivedrone.cli import main
+from cognitivedrone.data.card import HEIGHT, WIDTH, card, columns, flight_map, traces
 from cognitivedrone.data.episode import Episode
-from cognitivedrone.data.pages.card import card
-from cognitivedrone.data.pages.drawing import HEIGHT, WIDTH, columns, flight_map, traces
-from cognitivedrone.data.pages.overview import ACTION_NAMES, Histogram, overview
+from cognitivedrone.data.overview import ACTION_NAMES, Histogram, overview
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError
 from cognitivedrone.tasks import BASE_FAMILIES

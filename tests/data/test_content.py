@@ -18,8 +18,7 @@ from made_stores import seal, write_store
 from PIL import Image as PillowImage
 
 from cognitivedrone.data.episode import Episode
-from cognitivedrone.data.layout import head_of, making_of
-from cognitivedrone.data.receipts import receipt_text
+from cognitivedrone.data.manifest import head_of, making_of, receipt_text
 from cognitivedrone.data.shards import COMPRESSION, FOOTER_KEY
 from cognitivedrone.data.store import Store
 from cognitivedrone.data.verify import verify

@@ -12,7 +12,7 @@ from ruamel.yaml import YAML
 
 from cognitivedrone.data.episode import Episode, Split
 from cognitivedrone.data.formats import exchange, export, import_, lerobot
-from cognitivedrone.data.formats.lerobot_stats import image_stats, number_stats
+from cognitivedrone.data.formats.lerobot_files import image_stats, number_stats
 from cognitivedrone.errors import DataError
 
 FLIGHTS: list[tuple[Split, Episode]] = [

@@ -25,7 +25,7 @@ from PIL import Image as PillowImage
 from typechecked import unchecked
 
 from cognitivedrone.data.episode import Encoding, Episode, decode_image, encode_image
-from cognitivedrone.data.layout import MANIFEST
+from cognitivedrone.data.manifest import MANIFEST
 from cognitivedrone.data.shards import FOOTER_KEY, SCHEMA, ShardFile
 from cognitivedrone.data.store import Store
 from cognitivedrone.data.store_writer import StoreWriter

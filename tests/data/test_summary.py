@@ -9,9 +9,8 @@ import pytest
 from rich.console import Console
 
 from cognitivedrone.data.episode import Episode
-from cognitivedrone.data.pages.overview import Histogram, histogram, megabytes, overview
+from cognitivedrone.data.overview import Histogram, bars, histogram, megabytes, overview, summary
 from cognitivedrone.data.store import Store
-from cognitivedrone.data.summary import bars, summary
 from cognitivedrone.errors import DataError
 from cognitivedrone.tasks import BASE_FAMILIES
 

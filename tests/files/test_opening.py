@@ -76,7 +76,7 @@ ALLOWED: dict[str, frozenset[str]] = {
             "pq.read_schema",
             "pq.read_metadata",
         },
-        "data/formats/lerobot_video.py": {"av.open"},
+        "data/formats/lerobot_files.py": {"av.open"},
         "film/video.py": {"av.open"},
         "models/checksum.py": {"path.open"},
         "models/onnx_file.py": {"onnx.load", "onnx.save"},

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cognitivedrone import evaluate
-from cognitivedrone.data.formats.lerobot_columns import IMAGE_KEY, feature_spec
+from cognitivedrone.data.formats.lerobot_files import IMAGE_KEY, feature_spec
 from cognitivedrone.errors import AirframeError, SimulationError, TaskError
 from cognitivedrone.integrations.flights import CAMERA, OUTCOMES, STATE, HarnessFlights, family_of, metrics_of
 from cognitivedrone.plan import Scenario

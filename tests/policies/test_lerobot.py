@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cognitivedrone.data.formats.lerobot_columns import DOWN_KEY, IMAGE_KEY, feature_spec
+from cognitivedrone.data.formats.lerobot_files import DOWN_KEY, IMAGE_KEY, feature_spec
 from cognitivedrone.errors import MissingExtra, ModelError, PolicyError
 from cognitivedrone.policies import lerobot, make_policy, model_file
 from cognitivedrone.policies.lerobot import FILES, SHAPES, WEIGHTS, check_features

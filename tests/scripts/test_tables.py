@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import benchmark_fakes
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
@@ -168,7 +169,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
             out=out / "scores" / "small" / name,
             **options,
         )
-        run(plan, progress=False, runner="benchmark_fakes:FakeRunner")
+        run(plan, progress=False, runner=benchmark_fakes.FakeRunner)
     audit = out / "audit" / "small"
     audit.mkdir(parents=True)
     (audit / "baseline").symlink_to(out / "scores" / "small" / "open-v1-test")

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 from cognitivedrone.models.eyes.panel_reader import ReaderConfig
-from cognitivedrone.training.perception import calibration, panel_crops, readings
+from cognitivedrone.training.perception import panel_crops, readings
 from cognitivedrone.training.reasoner.reader import READER
 from cognitivedrone.training.reasoner.selector import DEBUG_SELECTOR
 from cognitivedrone.training.small_vla import export
@@ -33,14 +33,14 @@ TINY_READER = replace(
     validation_cards=32,
     network=ReaderConfig(crop_size=32, panel_encoder=(8, 8, 8, 8), embedding=16),
 )
-SMALL_SELECTOR = replace(DEBUG_SELECTOR, **SCHEDULE, batch=32, validation_tasks=100)
+SMALL_SELECTOR = replace(DEBUG_SELECTOR, **SCHEDULE, batch=32, validation_sentences=100)
 
 
 def make_small(patch: pytest.MonkeyPatch) -> None:
     """Draw few pictures and frames where a real training draws thousands."""
     patch.setattr(readings, "CROPS", 200)
     patch.setattr(panel_crops, "_KEPT", 64)
-    patch.setattr(calibration, "CROPS", 400)
+    patch.setattr(readings, "CALIBRATION_CROPS", 400)
     patch.setattr(export, "_STATISTICS_FRAMES", 100)
 
 

@@ -23,12 +23,12 @@ from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.training.config import TrainPlan
 from cognitivedrone.training.language.problems import ABSENT, NAMES, Mix, Problem, Problems
 from cognitivedrone.training.launch import run
-from cognitivedrone.training.perception import calibration
+from cognitivedrone.training.perception import readings
 from cognitivedrone.training.perception.attributes import ATTRIBUTES, AttributeIndex
 from cognitivedrone.training.perception.panel_crops import PanelCrops
-from cognitivedrone.training.perception.readings import Readings
+from cognitivedrone.training.perception.readings import Readings, readings_of
 from cognitivedrone.training.reasoner.reader import ReaderTraining
-from cognitivedrone.training.reasoner.selector import SELECTOR, SelectorEncoder, SelectorTraining, look_of
+from cognitivedrone.training.reasoner.selector import SELECTOR, SelectorTraining, look_of, scene_of
 from cognitivedrone.training.reasoner.selector_files import PACKAGE, export_selector, trained_selector
 from cognitivedrone.training.small_vla.export import load_trained
 from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint
@@ -106,7 +106,7 @@ def test_a_killed_reader_ends_with_the_same_weights(tmp_path: Path) -> None:
 def test_a_reader_is_written_with_the_temperatures_that_fit_unseen_pictures(
     reader_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(calibration, "_FEWEST", 20)
+    monkeypatch.setattr(readings, "_FEWEST", 20)
     task = TINY_READER.training(Given())
     task.export(reader_checkpoint, tmp_path)
     before, after = (read_checkpoint(path)[0] for path in (reader_checkpoint, tmp_path / task.recipe.model_file))
@@ -123,18 +123,17 @@ def test_a_temperature_undoes_too_much_certainty() -> None:
     honest = torch.randn(4000, 5)
     target = torch.distributions.Categorical(logits=honest).sample()
     for factor in (0.6, 1.0, 2.5):
-        assert calibration.temperature_of(factor * honest, target) == pytest.approx(factor, rel=0.12)
+        assert readings.temperature_of(factor * honest, target) == pytest.approx(factor, rel=0.12)
 
 
 # ---- problems as inputs of the gate selector
 
 
 def test_what_is_told_without_doubt_is_the_truth(training_task: SelectorTraining) -> None:
-    problems = drawn(SELECTOR.mix, 80)
-    encoder = SelectorEncoder(0.0, SceneTokenizer(training_task.pieces), Readings(INDEX))
+    problems = drawn(SELECTOR.mix.problems, 80)
     readings = Readings(INDEX)
     for problem in problems:
-        scene = encoder.scene(np.random.default_rng(2), problem)
+        scene = scene_of(np.random.default_rng(2), problem, readings, 0.0)
         np.testing.assert_array_equal(scene.panels, [readings.exact(label) for label in problem.labels])
         np.testing.assert_array_equal(scene.looks, [look_of(gate) for gate in problem.gates])
         assert scene.board.any() == (problem.board is not None)
@@ -143,25 +142,24 @@ def test_what_is_told_without_doubt_is_the_truth(training_task: SelectorTraining
 
 
 def test_batches_have_problems_of_similar_lengths(training_task: SelectorTraining) -> None:
-    encoder = SelectorEncoder(0.5, SceneTokenizer(training_task.pieces), Readings(INDEX))
-    problems = drawn(SELECTOR.mix, 90)
-    batches = encoder.batches(np.random.default_rng(0), problems, 20)
-    assert sum(len(batch["target"]) for batch in batches) == len(problems)
+    problems = drawn(SELECTOR.mix.problems, 90)
+    batches = training_task.described(np.random.default_rng(0), problems, 20, Readings(INDEX), SELECTOR.mix)
+    assert sum(len(batch["text_target"]) for batch in batches) == len(problems)
     assert [batch["tokens"].shape[1] for batch in batches] == sorted(batch["tokens"].shape[1] for batch in batches)
     there = np.concatenate([(batch["tokens"] != 0).ravel() for batch in batches])
     assert there.mean() > 0.85
-    targets = np.concatenate([batch["target"] for batch in batches])
+    targets = np.concatenate([batch["text_target"] for batch in batches])
     assert sorted(targets.tolist()) == sorted(problem.target for problem in problems)
     assert ABSENT in targets
 
 
 def test_a_readers_doubts_reach_the_gate_selector(training_task: SelectorTraining) -> None:
-    problems = drawn(SELECTOR.mix, 60)
-    noisy, exact = training_task._encoder(), SelectorEncoder(0.0, SceneTokenizer(training_task.pieces), Readings(INDEX))
-    changed = [
-        (noisy.scene(np.random.default_rng(2), each).panels != exact.scene(np.random.default_rng(2), each).panels).any()
-        for each in problems
-    ]
+    problems = drawn(SELECTOR.mix.problems, 60)
+    readings = readings_of(training_task.reader, training_task.index)
+    changed = []
+    for problem in problems:
+        noisy, exact = (scene_of(np.random.default_rng(2), problem, readings, doubt) for doubt in (0.5, 0.0))
+        changed.append((noisy.panels != exact.panels).any())
     assert 0.5 < np.mean(changed) <= 1.0
 
 
@@ -200,8 +198,7 @@ def test_the_gate_selector_learns_a_batch_by_heart(family: str, training_task: S
     problems = drawn(mix, 32)
     if family == "absent":
         problems += drawn(replace(mix, families={"animals": 1.0}), 32)
-    encoder = SelectorEncoder(0.5, SceneTokenizer(training_task.pieces), Readings(INDEX))
-    (encoded,) = encoder.batches(np.random.default_rng(3), problems, 64)
+    (encoded,) = training_task.described(np.random.default_rng(3), problems, 64, Readings(INDEX), SELECTOR.mix)
     batch = to_tensors(encoded)
     loss_module = training_task.loss_module(training_task.network())
     optimizer = torch.optim.AdamW(loss_module.parameters(), 0.01)
@@ -242,8 +239,8 @@ def test_the_gate_selector_in_onnx_answers_as_in_torch(
     assert calibrated.tokenizer.pieces == model.tokenizer.pieces == training_task.pieces
     assert model.notes == {}
     selector = trained_selector(read_start(reasoner_parts / CHECKPOINT, "selector"))
-    encoder = SelectorEncoder(0.0, model.tokenizer, Readings(INDEX))
-    for batch in encoder.batches(np.random.default_rng(0), drawn(SELECTOR.mix, 20), 7):
+    problems = drawn(SELECTOR.mix.problems, 20)
+    for batch in training_task.described(np.random.default_rng(0), problems, 7, Readings(INDEX), SELECTOR.mix):
         with torch.no_grad():
             expected = selector(*(torch.from_numpy(batch[name]) for name in INPUTS)).numpy()
         np.testing.assert_allclose(model.logits(batch), expected, atol=0.05, rtol=0.02)
@@ -279,6 +276,7 @@ def test_a_gate_selector_learns_without_flights(tmp_path: Path) -> None:
 
 
 def test_an_overconfident_gate_selector_is_calibrated(training_task: SelectorTraining) -> None:
+    torch.manual_seed(0)
     network = training_task.network().eval()
     network.get_parameter("out.weight").data.mul_(80)  # far too sure of guesses
 

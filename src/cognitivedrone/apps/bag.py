@@ -1,6 +1,6 @@
 """Records a flight as a ROS 2 bag in MCAP, for Foxglove and `ros2 bag`, while it flies.
 
-The topics of `data/formats/bags.py` with wall-clock stamps: the vehicle's estimated position and heading (`/pose`, if
+The topics of `data/formats/mcap.py` with wall-clock stamps: the vehicle's estimated position and heading (`/pose`, if
 known), images and commands, instruction and directive whenever they change; and in addition
 
 | topic | type | |
@@ -25,7 +25,7 @@ import numpy as np
 
 from cognitivedrone.apps.values import Step
 from cognitivedrone.data.episode import encode_image
-from cognitivedrone.data.formats.bags import (
+from cognitivedrone.data.formats.mcap import (
     CAMERA,
     COMMAND,
     DIRECTIVE,

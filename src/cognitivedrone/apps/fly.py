@@ -42,7 +42,7 @@ from cognitivedrone.control.loop import fly
 from cognitivedrone.control.passage import Passage, WatchedDrone
 from cognitivedrone.control.planning import Plans, plans_with
 from cognitivedrone.control.second_look import SecondLook
-from cognitivedrone.data.formats.bags import Ros
+from cognitivedrone.data.formats.mcap import Ros
 from cognitivedrone.envs.track_runner import TrackConfig, episode_rng
 from cognitivedrone.errors import GroundTruthError, NotUnderstood, ReasonerError
 from cognitivedrone.film.frame import Scene, scenes_of

@@ -30,7 +30,7 @@ import pyarrow.parquet as pq
 
 from cognitivedrone.apps.bag import BagLog
 from cognitivedrone.apps.values import Step, Summary
-from cognitivedrone.data.formats.bags import Ros
+from cognitivedrone.data.formats.mcap import Ros
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import create, replace_file, replacing, writing
 from cognitivedrone.film.frame import FilmFrame

@@ -43,7 +43,7 @@ def show(folder: tyro.conf.Positional[Path]) -> None:
     Args:
         folder: The data set.
     """
-    from cognitivedrone.data.summary import summary
+    from cognitivedrone.data.overview import summary
     from cognitivedrone.terminal import console
 
     console().print(summary(folder))
@@ -56,7 +56,7 @@ def report_card(folder: tyro.conf.Positional[Path], out: Path = Path("card.html"
         folder: The data set.
         out: Page to write, in the current folder by default: a data set's own folder holds no other files.
     """
-    from cognitivedrone.data.pages.card import card
+    from cognitivedrone.data.card import card
 
     card(folder, out)
     print(visible(f"report: {out.resolve()}"))  # noqa: T201

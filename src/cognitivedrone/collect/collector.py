@@ -17,7 +17,7 @@ from cognitivedrone.collect.fleet import FlownEpisode
 from cognitivedrone.collect.job import Job, learner_of, open_suite
 from cognitivedrone.collect.recipe import find_recipe
 from cognitivedrone.data.episode import Episode
-from cognitivedrone.data.layout import WRITING
+from cognitivedrone.data.manifest import WRITING
 from cognitivedrone.data.store_writer import StoreWriter
 from cognitivedrone.errors import DataError, RunError, did_you_mean
 from cognitivedrone.files.locks import sole_writer

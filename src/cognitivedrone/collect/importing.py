@@ -9,7 +9,7 @@ from pathlib import Path
 
 from cognitivedrone.collect.config import EPISODES_PER_SHARD
 from cognitivedrone.data.formats import import_
-from cognitivedrone.data.layout import WRITING
+from cognitivedrone.data.manifest import WRITING
 from cognitivedrone.data.store_writer import StoreWriter
 from cognitivedrone.errors import DataError
 from cognitivedrone.files.locks import sole_writer

@@ -12,7 +12,7 @@ import numpy as np
 from cognitivedrone.data.episode import Episode, Split, decode_image
 from cognitivedrone.data.formats import published
 from cognitivedrone.data.formats.foreign import has_scene
-from cognitivedrone.data.layout import MANIFEST
+from cognitivedrone.data.manifest import MANIFEST
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError
 from cognitivedrone.frames import rotate_yaw, yaw_of

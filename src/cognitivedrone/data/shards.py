@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from cognitivedrone import files
 from cognitivedrone.data.disk import MAX_SHARD_BYTES, MAX_TEXT_BYTES, clear_errors, write_atomically
 from cognitivedrone.data.episode import Conditions, Episode
-from cognitivedrone.data.forms import check_footer
+from cognitivedrone.data.manifest import check_footer
 from cognitivedrone.data.statistics import Flown
 from cognitivedrone.errors import CognitiveDroneError, DataError
 from cognitivedrone.tasks.format import task_from_json, task_to_json
@@ -286,3 +286,9 @@ def flown_in(shards: Sequence[ShardFile]) -> list[Flown]:
             task = facts["task"]
             flown.append(Flown(facts["index"], task["family"], task["category"], columns["action"][rows], state[rows]))
     return sorted(flown, key=lambda episode: episode.index)
+
+
+def tasks_in(shards: Sequence[ShardFile]) -> list[Task]:
+    """The tasks of all episodes, in order of index. Raises `DataError`."""
+    found = {facts["index"]: shard.task(facts) for shard in shards for facts in shard.facts}
+    return [found[index] for index in sorted(found)]

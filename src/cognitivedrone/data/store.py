@@ -17,21 +17,22 @@ a collection that dies at any moment is finished by writing the shards without a
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from threading import Lock
-from typing import Any, TypedDict
+from typing import Any, ClassVar, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.data.disk import read_json, sha256_of
 from cognitivedrone.data.episode import Episode, Split, decode_image
-from cognitivedrone.data.layout import MANIFEST, STATISTICS, check_sum, read_manifest
-from cognitivedrone.data.shards import ShardFile, flown_in
+from cognitivedrone.data.manifest import MANIFEST, STATISTICS, check_sum, read_manifest
+from cognitivedrone.data.shards import ShardFile, flown_in, tasks_in
 from cognitivedrone.data.statistics import SPLITS
 from cognitivedrone.errors import DataError, did_you_mean
 from cognitivedrone.types import IMAGE_SIZE, Action, FloatArray, Image, Task
@@ -50,21 +51,106 @@ class Batch(TypedDict):
     directive: list[str]
 
 
+class Steps(ABC):
+    """The steps of a data set, numbered through all of it, episode after episode, by index. Shared between threads."""
+
+    path: Path
+    way_out: ClassVar[str]
+    """What mends a broken frame."""
+
+    _splits: list[Split]
+    _first_steps: NDArray[np.int64]
+    """Number of the first step of every episode, and of all steps at the end."""
+
+    @abstractmethod
+    def tasks(self) -> list[Task]:
+        """The tasks of all episodes, in order of index."""
+
+    @abstractmethod
+    def content_hash(self) -> str:
+        """The same for the same flights."""
+
+    @property
+    @abstractmethod
+    def _numbers(self) -> Numbers:
+        """What is kept in memory, some tens of bytes per step."""
+
+    @abstractmethod
+    def _encoded(self, rows: NDArray[np.int64], steps: NDArray[np.int64]) -> Iterator[tuple[bytes, str]]:
+        """The frames of steps of these episodes, and where each is, with the episode."""
+
+    @property
+    def n_steps(self) -> int:
+        """Number of steps."""
+        return int(self._first_steps[-1])
+
+    def episode_rows(self) -> NDArray[np.int64]:
+        """(n_steps,) the index in `tasks` of each step's episode."""
+        return np.repeat(np.arange(len(self._splits)), np.diff(self._first_steps))
+
+    def step_numbers(self, split: Split | None = None) -> NDArray[np.int64]:
+        """The step numbers of a split, or of all: the input of `steps`."""
+        if split not in (None, *SPLITS):
+            raise DataError(f"unknown split {split!r}; {did_you_mean(str(split), SPLITS)}")
+        wanted = np.array([split in (None, own) for own in self._splits], np.bool_)
+        return np.flatnonzero(wanted[self.episode_rows()]).astype(np.int64)
+
+    def actions(self, split: Split | None = None) -> NDArray[np.float32]:
+        """(N, 4) the labels of all steps of a split, or of all."""
+        return self._numbers.action[self.step_numbers(split)]
+
+    def steps(self, numbers: Sequence[int] | NDArray[np.integer[Any]], threads: int = 1) -> Batch:
+        """The steps with these numbers, 0 to `n_steps` - 1, in any order; `threads` threads decode their frames.
+
+        The first call reads all actions, states and instructions, and keeps them. Raises `DataError` for a number out
+        of range, and for a broken frame with file, episode and step.
+        """
+        wanted = np.asarray(numbers, np.int64)
+        if wanted.size and not 0 <= wanted.min() <= wanted.max() < self.n_steps:
+            raise DataError(f"{self.path}: a step number lies outside of 0 to {self.n_steps - 1}")
+        table = self._numbers
+        rows = np.searchsorted(self._first_steps, wanted, side="right") - 1
+        steps = wanted - self._first_steps[rows]
+        images = np.empty((len(wanted), IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
+        if threads > 1:
+            with ThreadPoolExecutor(threads) as pool:
+                # list() raises the threads' errors
+                list(pool.map(self._decode_into, images, self._encoded(rows, steps), steps.tolist()))
+        else:
+            list(map(self._decode_into, images, self._encoded(rows, steps), steps.tolist()))
+        return Batch(
+            image=images,
+            state=table.state[wanted],
+            action=table.action[wanted],
+            instruction=[table.instructions[row] for row in rows],
+            directive=[table.directives[row] for row in rows],
+        )
+
+    def _decode_into(self, image: Image, frame: tuple[bytes, str], step: int) -> None:
+        data, where = frame
+        try:
+            decoded = decode_image(data)
+            if decoded.shape != image.shape:
+                raise ValueError(f"it is {decoded.shape[1]}x{decoded.shape[0]}, not {IMAGE_SIZE}x{IMAGE_SIZE}")
+            image[:] = decoded
+        except (OSError, ValueError, SyntaxError) as error:  # Pillow reports broken PNG chunks as SyntaxError
+            raise DataError(f"{where}, step {step}, is broken ({error}); {self.way_out}") from None
+
+
 @dataclass(frozen=True, slots=True)
-class _Place:
-    """Location of an episode."""
+class Numbers:
+    """The arrays that `steps` keeps in memory; rows of episodes are in order of index."""
 
-    shard: int
-    first_step: int
-    """Number of its first step in the store."""
-    length: int
+    action: NDArray[np.float32]
+    state: NDArray[np.float32]
+    instructions: list[str]
+    directives: list[str]
 
 
-class Store:
-    """A finished store, opened for reading. Steps are numbered through the whole store, episode after episode.
+class Store(Steps):
+    """A finished store, opened for reading. Can be pickled; frames are read under a lock and decoded outside it."""
 
-    Can be pickled and shared between threads: frames are read under a lock and decoded outside it.
-    """
+    way_out = "collect the shard again with --resume"
 
     def __init__(self, path: Path | str) -> None:
         """Open `path`. Raises `DataError` for anything but a complete, finished store of this version."""
@@ -72,19 +158,16 @@ class Store:
         self.manifest = read_manifest(self.path)
         self._files: dict[int, ShardFile] = {}
         self._lock = Lock()
-        where: dict[int, tuple[int, int]] = {}
+        homes: dict[int, tuple[int, int]] = {}
         for number, receipt in enumerate(self.manifest["shards"]):
             self._check_size(receipt)
             for index, length in zip(receipt["episodes"], receipt["lengths"], strict=True):
-                where[index] = number, length
-        self._places: dict[int, _Place] = {}
-        first = 0
-        for index in sorted(where):
-            number, length = where[index]
-            self._places[index] = _Place(number, first, length)
-            first += length
-        self.n_steps = first
-        self._val = frozenset(self.manifest["splits"]["val"])
+                homes[index] = number, length
+        self._shard_of = {index: homes[index][0] for index in sorted(homes)}
+        """The number of every episode's shard, in order of index."""
+        self._first_steps = np.cumsum([0, *(homes[index][1] for index in self._shard_of)])
+        val = frozenset(self.manifest["splits"]["val"])
+        self._splits = ["val" if index in val else "train" for index in self._shard_of]
 
     @classmethod
     def open(cls, path: Path | str) -> Store:
@@ -95,7 +178,7 @@ class Store:
         return Store, (self.path,)
 
     def __len__(self) -> int:
-        return len(self._places)
+        return len(self._splits)
 
     def _check_size(self, receipt: Mapping[str, Any]) -> None:
         path = self.path / receipt["file"]
@@ -119,11 +202,11 @@ class Store:
 
     def indices(self, split: Split | None = None) -> list[int]:
         """The indices of the episodes of a split, or of all, in order."""
-        return [index for index in self._places if split is None or self.split_of(index) == split]
+        return [index for index, own in zip(self._shard_of, self._splits, strict=True) if split in (None, own)]
 
     def split_of(self, index: int) -> Split:
         """The split that an episode belongs to."""
-        return "val" if index in self._val else "train"
+        return "val" if index in self.manifest["splits"]["val"] else "train"
 
     def statistics(self) -> dict[str, Any]:
         """The content of statistics.json, by split and for `all`. Raises `DataError` if it was altered."""
@@ -133,12 +216,11 @@ class Store:
 
     def episode(self, index: int) -> Episode:
         """The episode of that index; raises `DataError` if the store has none, or its shard is broken."""
-        place = self._places.get(index)
-        if place is None:
-            known = f"{min(self._places)} to {max(self._places)}" if self._places else "none"
+        if index not in self._shard_of:
+            known = f"{min(self._shard_of)} to {max(self._shard_of)}" if len(self) else "none"
             raise DataError(f"{self.path}: has no episode {index}; its {len(self)} episodes are {known}")
         with self._lock:
-            return self._file(place.shard).episode(index)
+            return self._file(self._shard_of[index]).episode(index)
 
     def episodes(self, split: Split | None = None) -> Iterator[Episode]:
         """All episodes of a split, or all, in order of index, one in memory at a time."""
@@ -146,28 +228,16 @@ class Store:
 
     def labelled(self) -> Iterator[tuple[Split, Episode]]:
         """All episodes with their split, in order of index, one in memory at a time: the input of exports."""
-        return ((self.split_of(index), self.episode(index)) for index in self._places)
+        return zip(self._splits, self.episodes(), strict=True)
 
     def facts(self) -> list[dict[str, Any]]:
         """Facts about every episode as a whole, as plain JSON, in order of index.
 
         Keys: index, length, suite, encoding, conditions, final_position, and task in the published layout.
         """
-        with self._lock:
-            shards = [self._file(number) for number in range(len(self.manifest["shards"]))]
-        return sorted((facts for shard in shards for facts in shard.facts), key=lambda facts: int(facts["index"]))
-
-    def actions(self, split: Split | None = None) -> NDArray[np.float32]:
-        """(N, 4) the labels of all steps of a split, or of all."""
-        return self._numbers.action[self.step_numbers(split)]
-
-    def step_numbers(self, split: Split | None = None) -> NDArray[np.int64]:
-        """The step numbers of a split, or of all: the input of `steps`."""
-        if split not in (None, *SPLITS):
-            raise DataError(f"unknown split {split!r}; {did_you_mean(str(split), SPLITS)}")
-        places = [self._places[index] for index in self.indices(split)]
-        ranges = [np.arange(place.first_step, place.first_step + place.length) for place in places]
-        return np.concatenate([np.empty(0, np.int64), *ranges])
+        return sorted(
+            (facts for shard in self._shards() for facts in shard.facts), key=lambda facts: int(facts["index"])
+        )
 
     def columns(self, *names: str) -> dict[str, NDArray[Any]]:
         """Complete numeric columns, (n_steps,) or (n_steps, width), in order of step numbers."""
@@ -178,7 +248,7 @@ class Store:
                 columns = shard.numbers(list(names))
             for facts, rows in shard.rows():
                 parts[facts["index"]] = {name: column[rows] for name, column in columns.items()}
-        return {name: np.concatenate([parts[index][name] for index in self._places]) for name in names}
+        return {name: np.concatenate([parts[index][name] for index in self._shard_of]) for name in names}
 
     def content_hash(self) -> str:
         """Hash of the manifest, which holds the hashes of all shards: the same for the same flights."""
@@ -186,91 +256,30 @@ class Store:
 
     def tasks(self) -> list[Task]:
         """The tasks of all episodes, in order of index."""
-        with self._lock:
-            shards = [self._file(number) for number in range(len(self.manifest["shards"]))]
-        found = {facts["index"]: shard.task(facts) for shard in shards for facts in shard.facts}
-        return [found[index] for index in self._places]
+        return tasks_in(self._shards())
 
-    def episode_rows(self) -> NDArray[np.int64]:
-        """(n_steps,) the index in `tasks` of each step's episode."""
-        return np.repeat(np.arange(len(self)), [place.length for place in self._places.values()])
+    def _shards(self) -> list[ShardFile]:
+        with self._lock:
+            return [self._file(number) for number in range(len(self.manifest["shards"]))]
 
     @cached_property
-    def _numbers(self) -> _Numbers:
-        tasks = [facts["task"] for facts in self.facts()]
+    def _numbers(self) -> Numbers:
+        tasks, shards = [facts["task"] for facts in self.facts()], self._shards()
         with self._lock:
-            flown = flown_in([self._file(number) for number in range(len(self.manifest["shards"]))])
-        return _Numbers(
-            first_steps=np.array([place.first_step for place in self._places.values()]),
-            indices=list(self._places),
+            flown = flown_in(shards)
+        return Numbers(
             action=np.concatenate([np.empty((0, 4), np.float32), *(episode.action for episode in flown)]),
             state=np.concatenate([np.empty((0, 5), np.float32), *(episode.state for episode in flown)]),
             instructions=[task["prompt"] for task in tasks],
             directives=[task["prompt_simpler"] for task in tasks],
         )
 
-    def steps(self, numbers: Sequence[int] | NDArray[np.integer[Any]], threads: int = 1) -> Batch:
-        """The steps with these numbers, 0 to `n_steps` - 1, in any order; `threads` threads decode their frames.
-
-        The first call reads all actions, states and instructions of the store (some tens of bytes per step) and keeps
-        them. Raises `DataError` for a number out of range, and for a broken frame with file, episode and step.
-        """
-        wanted = np.asarray(numbers, np.int64)
-        if wanted.size and not 0 <= wanted.min() <= wanted.max() < self.n_steps:
-            raise DataError(f"{self.path}: a step number lies outside of 0 to {self.n_steps - 1}")
-        table = self._numbers
-        rows = np.searchsorted(table.first_steps, wanted, side="right") - 1
-        encoded = self._encoded([table.indices[row] for row in rows], wanted - table.first_steps[rows])
-        images = np.empty((len(wanted), IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
-        if threads > 1:
-            with ThreadPoolExecutor(threads) as pool:
-                list(pool.map(self._decode_into, images, encoded))  # list() raises the threads' errors
-        else:
-            list(map(self._decode_into, images, encoded))
-        return Batch(
-            image=images,
-            state=table.state[wanted],
-            action=table.action[wanted],
-            instruction=[table.instructions[row] for row in rows],
-            directive=[table.directives[row] for row in rows],
-        )
-
-    def _encoded(self, indices: Sequence[int], steps: NDArray[np.int64]) -> Iterator[_Frame]:
-        columns: dict[int, Any] = {}
-        for index, step in zip(indices, steps.tolist(), strict=True):
-            if index not in columns:
+    def _encoded(self, rows: NDArray[np.int64], steps: NDArray[np.int64]) -> Iterator[tuple[bytes, str]]:
+        indices, columns = list(self._shard_of), dict[int, Any]()
+        for row, step in zip(rows.tolist(), steps.tolist(), strict=True):
+            index = indices[row]
+            if row not in columns:
                 with self._lock:
-                    columns[index] = self._file(self._places[index].shard).images(index)
-            yield _Frame(index, step, columns[index][step].as_py())
-
-    def _decode_into(self, image: Image, frame: _Frame) -> None:
-        try:
-            decoded = decode_image(frame.data)
-            if decoded.shape != image.shape:
-                raise ValueError(f"it is {decoded.shape[1]}x{decoded.shape[0]}, not {IMAGE_SIZE}x{IMAGE_SIZE}")
-            image[:] = decoded
-        except (OSError, ValueError, SyntaxError) as error:  # Pillow reports broken PNG chunks as SyntaxError
-            file = self.manifest["shards"][self._places[frame.index].shard]["file"]
-            raise DataError(
-                f"{self.path / file}: the frame of episode {frame.index}, step {frame.step}, is broken ({error}); "
-                "collect the shard again with --resume"
-            ) from None
-
-
-@dataclass(frozen=True, slots=True)
-class _Frame:
-    index: int
-    step: int
-    data: bytes
-
-
-@dataclass(frozen=True, slots=True)
-class _Numbers:
-    """The arrays that `steps` keeps in memory; rows of episodes are in order of index."""
-
-    first_steps: NDArray[np.int64]
-    indices: list[int]
-    action: NDArray[np.float32]
-    state: NDArray[np.float32]
-    instructions: list[str]
-    directives: list[str]
+                    columns[row] = self._file(self._shard_of[index]).images(index)
+            file = self.manifest["shards"][self._shard_of[index]]["file"]
+            yield columns[row][step].as_py(), f"{self.path / file}: the frame of episode {index}"

@@ -9,7 +9,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
-from cognitivedrone.data.checksums import SUMS, sums_text
 from cognitivedrone.data.disk import (
     clear_errors,
     json_text,
@@ -21,23 +20,29 @@ from cognitivedrone.data.disk import (
     write_text,
 )
 from cognitivedrone.data.episode import Episode
-from cognitivedrone.data.layout import (
+from cognitivedrone.data.manifest import (
     FORMAT,
     FORMAT_VERSION,
     MANIFEST,
     PARTIAL,
     SHARDS,
     STATISTICS,
+    SUMS,
     TASKS,
+    Receipt,
     check_format,
     check_same_making,
     head_of,
     is_sound,
     making_of,
+    making_recorded,
+    receipt_name,
+    receipt_text,
     shard_name,
+    states,
+    sums_text,
 )
-from cognitivedrone.data.receipts import Receipt, making_recorded, receipt_name, receipt_text, states
-from cognitivedrone.data.shards import ShardFile, flown_in, write_shard_file
+from cognitivedrone.data.shards import ShardFile, flown_in, tasks_in, write_shard_file
 from cognitivedrone.data.statistics import draw_splits, statistics
 from cognitivedrone.errors import DataError
 from cognitivedrone.files import check_no_link, is_left_over, remove, remove_left_over
@@ -252,8 +257,7 @@ class StoreWriter:
             raise DataError(f"{self.path}: only some shards have frames of the camera that looks down; keep them apart")
         flown = flown_in(shards)
         splits = draw_splits(self._suite_digest, {episode.index: episode.family for episode in flown})
-        facts = sorted(((fact, shard) for shard in shards for fact in shard.facts), key=lambda pair: pair[0]["index"])
-        tasks = [shard.task(fact) for fact, shard in facts]
+        tasks = tasks_in(shards)
         dropped = sum((Counter(receipt.dropped) for receipt in receipts), Counter[str]())
         write_json(self.path / STATISTICS, statistics(flown, splits["val"]))
         write_atomically(self.path / TASKS, lambda temporary: write_tasks(temporary, tasks))

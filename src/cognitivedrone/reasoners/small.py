@@ -40,7 +40,7 @@ from cognitivedrone.tasks.directives import HOLD, looks_asked, write_directive
 from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Guidance, Image, SeenPanel
 
 _SEEN = 0.3  # minimum score of a visible gate or board
-_LIKELY, _NAMED = 0.5, 0.34  # least probability of the answer that no gate matches; of a gate, better than a guess
+_DECLINED, _NAMED = 0.4, 0.34  # least probability of the answer that no gate matches; of a gate, better than a guess
 _SELECTOR, _OTHERS = 0.8, 0.2  # weights of opinions; set, not learnt
 _LEAST, _FAINT = 1e-6, 1e-4  # shares of an answer and of a thing that are not ruled out
 _OF_THINGS = ("kind/thing", "kind/unknown")
@@ -163,7 +163,7 @@ class SmallReasoner(Reasoner):
         self.seen = tuple(replace(panel, right=float(p)) for panel, p in zip(self.seen, chosen, strict=False))
         best = int(chosen.argmax())
         certainty = float(chosen[best])
-        if certainty < (_NAMED if best < len(gates) else _LIKELY):
+        if certainty < (_NAMED if best < len(gates) else _DECLINED):
             raise ReasonerError("unsure", f"no answer is likely; I see {self._described(scene.panels)}")
         if best == len(gates):
             # What was not read may be what is asked for.
@@ -221,7 +221,7 @@ class SmallReasoner(Reasoner):
         kinds = attributes.groups["kind"]
         others = [place for place in range(kinds.start, kinds.stop) if attributes.names[place] not in _OF_THINGS]
         share: float = panels[:, others].sum(axis=1).mean()
-        return share < _LIKELY
+        return share < 0.5
 
     def _shown(self, gates: Sequence[tuple[int, _Gate]]) -> Floats:
         """(n, F): what the panels of gates show, by all frames so far."""

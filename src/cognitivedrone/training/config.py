@@ -17,10 +17,9 @@ class TrainPlan(Options):
     """Folder of the run: checkpoint, curves.png, TensorBoard logs and, at the end, the model files."""
     recipe: str = "small"
     """teach, which teaches a trained pilot the pictures in --labels; reader, which reads panels; small, the policy,
-    which flies with a reader; race, base or debug, other policies; language and flight, which train a policy's language
+    which flies with a reader; race or debug, other policies; language and flight, which train a policy's language
     or its flying further; places, which trains flying further in photographed places too; obstacles, the eye that
-    sees what is in the way; reader-places, a reader that sees panels before such places; selector, the small
-    reasoner."""
+    sees what is in the way; selector, the small reasoner."""
     data: Path | None = None
     """A data set made by `collect`, used instead of flights made during training."""
     start: Path | None = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, ClassVar, Final
@@ -14,22 +14,29 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-from cognitivedrone.errors import TrainingError
-from cognitivedrone.files import replacing
 from cognitivedrone.frames import rotate_yaw, rotation_matrix
 from cognitivedrone.layout import STARTS
 from cognitivedrone.models.eyes.obstacle_eye import DEPTHS_M, EYE, EYE_FILE, FARTHEST_M, PARTS, ObstacleEye
 from cognitivedrone.models.eyes.obstacle_network import Channels, ObstacleNetwork, occupied_and_depth
-from cognitivedrone.models.onnx_file import write_table
 from cognitivedrone.policies.expert import Detour, command_for
 from cognitivedrone.sim.airframe import RACER
 from cognitivedrone.sim.drawing.views import FOCAL_PX, MOUNT
 from cognitivedrone.tasks.families.clutter import KINDS, cluttered
 from cognitivedrone.training.perception.ground_truth import Poses
-from cognitivedrone.training.small_vla.sampling import Setting, StreamRecipe
+from cognitivedrone.training.small_vla.sampling import Sampler, Setting, StreamRecipe
 from cognitivedrone.training.small_vla.stream import RolloutStream, StreamFlight
 from cognitivedrone.training.trainer.checkpoint import read_checkpoint, restore
-from cognitivedrone.training.trainer.training_task import Batch, Batches, Given, Recipe, Row, to_tensors
+from cognitivedrone.training.trainer.training_task import (
+    VALIDATION,
+    Batch,
+    Batches,
+    Given,
+    Recipe,
+    Row,
+    TrainingTask,
+    evaluating,
+    to_tensors,
+)
 from cognitivedrone.types import IMAGE_SIZE, Commands, FloatArray, Image, Stage, Task
 from cognitivedrone.world import geometry
 
@@ -50,7 +57,7 @@ class ObstacleFlights(RolloutStream):
     """Worlds with training flights among obstacles."""
 
     def __init__(self, recipe: ObstacleStreamRecipe) -> None:
-        super().__init__(recipe, DepthSampler())
+        super().__init__(recipe, DepthSampler(recipe, None))
         self._among = recipe
         self._detours: list[Detour | None] = [None] * recipe.worlds
 
@@ -82,13 +89,8 @@ class ObstacleFlights(RolloutStream):
         return actions
 
 
-class DepthSampler:
+class DepthSampler(Sampler):
     """Makes samples of frames: the image, and `depth` (PARTS, PARTS), see `obstacle_depth`."""
-
-    def askable(self, task: Task) -> tuple[int, ...]:
-        """All gates: nobody is asked about their panels."""
-        del task
-        return (0, 1, 2)
 
     def sample(self, rng: np.random.Generator, poses: Poses, flights: Sequence[Setting], frames: Image) -> Batch:
         """The samples of n frames (n, 256, 256, 3), one flight each."""
@@ -121,7 +123,6 @@ def quieter(recipe: ObstacleStreamRecipe, batch: int) -> ObstacleStreamRecipe:
     return replace(recipe, batch=batch, sampled=0.05)
 
 
-_VALIDATION = 10**6  # rank of the generator of validation frames: no training process has it
 _NEAR_M = 3.0  # obstacles nearer than this matter in flight
 
 
@@ -143,18 +144,10 @@ class ObstacleRecipe(Recipe):
 
 
 @dataclass(frozen=True)
-class ObstacleTraining:
+class ObstacleTraining(TrainingTask):
     """Training task of the obstacle eye."""
 
     recipe: ObstacleRecipe
-
-    def identity(self) -> dict[str, Any]:
-        """The recipe."""
-        return {"recipe": self.recipe.facts()}
-
-    def facts(self) -> dict[str, Any]:
-        """None beside the recipe."""
-        return {}
 
     def network(self) -> ObstacleNetwork:
         """A new network, channels last in memory for speed."""
@@ -162,21 +155,9 @@ class ObstacleTraining:
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return network
 
-    def loss_module(self, network: nn.Module) -> ObstacleLoss:
+    def loss_module(self, network: ObstacleNetwork) -> ObstacleLoss:
         """The network with its loss."""
-        assert isinstance(network, ObstacleNetwork)  # noqa: S101  (for the type checker)
         return ObstacleLoss(network)
-
-    def learner(self, network: nn.Module) -> None:
-        """None: an eye does not fly."""
-        del network
-
-    def share(self, processes: int) -> ObstacleTraining:
-        """Processes share the frames."""
-        stream = self.recipe.stream
-        if stream.batch % processes:
-            raise TrainingError(f"a batch of {stream.batch} frames cannot be shared by {processes} processes")
-        return replace(self, recipe=replace(self.recipe, stream=replace(stream, batch=stream.batch // processes)))
 
     def batches(self) -> Batches:
         """Frames of flights among obstacles."""
@@ -187,19 +168,16 @@ class ObstacleTraining:
         size = min(32, self.recipe.validation_frames)
         flights = ObstacleFlights(quieter(self.recipe.stream, size))
         try:
-            return list(islice(flights((seed, _VALIDATION)), self.recipe.validation_frames // size))
+            return list(islice(flights((seed, VALIDATION)), self.recipe.validation_frames // size))
         finally:
             flights.close()
 
-    def validate(self, loss_module: nn.Module, batches: list[Batch], autocast: Any) -> Row:
+    def validate(self, loss_module: ObstacleLoss, batches: list[Batch], autocast: Any) -> Row:
         """The loss; of obstacles within 3 m the share that is found; of what is taken for such the share that is an
         obstacle; and the mean error of the distance, as a share of it.
         """
-        assert isinstance(loss_module, ObstacleLoss)  # noqa: S101
-        device = next(loss_module.parameters()).device
-        loss_module.eval()
         losses, found, there, right, taken, errors = [], 0.0, 0.0, 0.0, 0.0, []
-        with torch.no_grad(), autocast():
+        with evaluating(loss_module, autocast) as device:
             for batch in batches:
                 tensors = to_tensors(batch, device)
                 logits = loss_module.network.logits(tensors["image"]).float()
@@ -212,7 +190,6 @@ class ObstacleTraining:
                 taken += float(warned.sum())
                 both = near & seen
                 errors.append((depth[both] / tensors["depth"][both].clamp(min=DEPTHS_M[0])).log().abs())
-        loss_module.train()
         return {
             "obstacles": float(np.mean(losses)),
             "found": found / max(there, 1.0),
@@ -220,26 +197,18 @@ class ObstacleTraining:
             "distance error": float(torch.cat(errors).mean()) if sum(map(len, errors)) else float("nan"),
         }
 
-    def trial(self, network: nn.Module) -> Row:
-        """Empty: there are no trials beside the curves."""
-        del network
-        return {}
-
     def export(self, checkpoint: Path, folder: Path) -> None:
         """The eye's file."""
         # Processes that make batches do without ONNX.
         from cognitivedrone.training.small_vla.export import provenance_of
-        from cognitivedrone.training.small_vla.graph import write_onnx
+        from cognitivedrone.training.small_vla.graph import write_model
 
         tensors, facts = read_checkpoint(checkpoint)
         network = self.network()
         restore(tensors, network, None)
         example = {"image": torch.zeros(2, 256, 256, 3, dtype=torch.uint8)}
-        table = {"network": {"channels": list(self.recipe.channels)}, "provenance": asdict(provenance_of(facts))}
-        with replacing(folder / EYE_FILE) as beside:
-            write_onnx(network, example, ("occupied", "depth"), beside)
-            write_table(beside, EYE, table)
-            ObstacleEye.load(beside)  # a file that cannot be loaded never replaces the old one
+        table, outputs = {"network": {"channels": list(self.recipe.channels)}}, ("occupied", "depth")
+        write_model(network, example, outputs, folder / EYE_FILE, EYE, table, provenance_of(facts), ObstacleEye.load)
 
 
 class ObstacleLoss(nn.Module):

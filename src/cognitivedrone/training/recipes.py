@@ -7,7 +7,7 @@ from dataclasses import replace
 from cognitivedrone.errors import TrainingError, did_you_mean
 from cognitivedrone.models.small_vla import SmallVLAConfig
 from cognitivedrone.training.obstacles import DEBUG_OBSTACLES, OBSTACLES
-from cognitivedrone.training.reasoner.reader import READER, READER_PLACES
+from cognitivedrone.training.reasoner.reader import READER
 from cognitivedrone.training.reasoner.selector import DEBUG_SELECTOR, SELECTOR
 from cognitivedrone.training.small_vla.language import DEBUG_LANGUAGE, LANGUAGE
 from cognitivedrone.training.small_vla.policy import FLIGHT, PLACES, TrainRecipe
@@ -37,13 +37,6 @@ RECIPES: dict[str, TrainRecipe] = {
         stream=StreamRecipe(suite="race", crowded=0.5, sentences=2),
         network=replace(SMALL.network, reader=None),
     ),
-    "base": replace(
-        SMALL,
-        name="base",
-        steps=30_000,
-        stream=replace(SMALL.stream, batch=128, worlds=32),
-        network=replace(SMALL.network, backbone=(48, 96, 160)),
-    ),
     "debug": replace(
         SMALL,
         name="debug",
@@ -62,7 +55,7 @@ RECIPES: dict[str, TrainRecipe] = {
         fly_tasks=2,
     ),
 } | {recipe.name: recipe for recipe in _ABLATION}
-"""`small`: the packaged policy. `race`: the baseline without language. `base`: larger, for a GPU. `debug`: the whole
+"""`small`: the packaged policy. `race`: the baseline without language. `debug`: the whole
 training path in seconds, for tests. `ablation-*`: a quarter of `small`, all but the first with one change."""
 
 
@@ -77,12 +70,11 @@ ALL_RECIPES: dict[str, Recipe] = {
     "selector": SELECTOR,
     "debug-selector": DEBUG_SELECTOR,
     "reader": READER,
-    "reader-places": READER_PLACES,
     "teach": TEACH,
 }
-"""`reader`: reads panels, the first part of a pilot; `reader-places`: also before photographed places. `selector`: the
-reasoner's choice. `language`: what sentences mean, from a selector. `flight`: more flying; `places`: also in places;
-`obstacles`: the eye that sees what is in the way. `teach`: teaches a trained pilot a user's pictures and words."""
+"""`reader`: reads panels, the first part of a pilot. `selector`: the reasoner's choice. `language`: what words mean.
+`flight`: more flying; `places`: also in places; `obstacles`: the eye that sees what is in the way. `teach`: teaches a
+trained pilot a user's pictures and words."""
 
 
 def find_recipe(name: str) -> Recipe:

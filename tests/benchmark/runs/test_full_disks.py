@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import benchmark_fakes
 import pytest
 
 from cognitivedrone.benchmark.reasoning.reason import ReasonPlan, score_reasoner
@@ -23,7 +24,7 @@ from cognitivedrone.cli import main
 from cognitivedrone.errors import RunError
 from cognitivedrone.reasoners.replay import read_answers
 
-RUNNER = "benchmark_fakes:FakeRunner"
+RUNNER = benchmark_fakes.FakeRunner
 
 
 @contextmanager

@@ -5,20 +5,22 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
+import benchmark_fakes
 import pytest
 
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.runs import records
+from cognitivedrone.benchmark.runs.job import Shard, parse_shard
 from cognitivedrone.benchmark.runs.merge import merge
 from cognitivedrone.benchmark.runs.records import read_records
 from cognitivedrone.benchmark.runs.runner import command_of, out_of, run
-from cognitivedrone.benchmark.runs.shard import Shard, parse_shard
 from cognitivedrone.benchmark.scores.results import read_results
 from cognitivedrone.errors import RunError
 from cognitivedrone.tasks import load_suite, write_tasks
 
-RUNNER = "benchmark_fakes:FakeRunner"
+RUNNER = benchmark_fakes.FakeRunner
 
 
 def lasting(folder: Path) -> dict:
@@ -27,7 +29,7 @@ def lasting(folder: Path) -> dict:
     return {key: value for key, value in document.items() if key not in ("timing", "platform")}
 
 
-def fly(config: Plan, shard: str, runner: str = RUNNER) -> Path:
+def fly(config: Plan, shard: str, runner: Any = RUNNER) -> Path:
     out = config.out.parent / f"part-{shard.replace('/', '-of-')}"
     run(config.changed(shard=shard, out=out), progress=False, runner=runner)
     return out
@@ -55,7 +57,7 @@ def test_merged_shards_are_the_undivided_run(config, parts, tmp_path):
 def test_a_merged_run_goes_on_as_the_undivided_one(config, parts, tmp_path):
     merge(parts, tmp_path / "merged")
     again = config.changed(out=tmp_path / "merged", resume=True)
-    assert run(again, progress=False, runner="benchmark_fakes:UnlabelledRunner").timing.episodes_flown == 20
+    assert run(again, progress=False, runner=benchmark_fakes.UnlabelledRunner).timing.episodes_flown == 20
 
 
 def test_a_shard_is_every_nth_episode(config, parts):
@@ -68,7 +70,7 @@ def test_a_shard_is_every_nth_episode(config, parts):
 
 def test_a_killed_shard_is_resumed_as_that_shard(config):
     with pytest.raises(KeyboardInterrupt, match="after 1 of 6 episodes"):
-        fly(config, "3/3", "benchmark_fakes:InterruptedRunner")
+        fly(config, "3/3", benchmark_fakes.InterruptedRunner)
     out = config.out.parent / "part-3-of-3"
     with pytest.raises(RunError, match=r"part-3-of-3 is not finished; continue it"):
         merge([out], config.out)
@@ -78,7 +80,7 @@ def test_a_killed_shard_is_resumed_as_that_shard(config):
 
 
 def test_tracebacks_of_all_shards_are_kept(config, tmp_path):
-    parts = [fly(config, f"{number}/2", "benchmark_fakes:RaisingRunner") for number in (1, 2)]
+    parts = [fly(config, f"{number}/2", benchmark_fakes.RaisingRunner) for number in (1, 2)]
     merge(parts, tmp_path / "merged")
     assert [file.name for file in (tmp_path / "merged" / "errors").iterdir()] == ["episode-0005.txt"]
 
@@ -201,6 +203,6 @@ def test_a_shard_of_an_endless_suite_that_says_it_is_huge_is_not_drawn(config, p
             document["suite"] |= {"name": "open-v1:train", "size": 10**12}
             (part / name).write_text(json.dumps(document))
         digest = records.digest_of_run(read_results(part).run)
-        lines = [records._line(record, digest) for record in kept.values()]
+        lines = [records._line(records.dumps(record), digest) for record in kept.values()]
         (part / records.EPISODES_FILE).write_bytes(b"".join(lines))
     assert merge(parts, tmp_path / "merged").run.suite.size == 10**12

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import benchmark_fakes
 import pytest
 
 from cognitivedrone.benchmark.config import Plan
@@ -16,7 +18,7 @@ from cognitivedrone.errors import CognitiveDroneError, RunError
 
 ray = pytest.importorskip("ray", reason="the extra 'ray' is not installed")
 pytestmark = pytest.mark.filterwarnings("ignore")  # Ray's own
-RUNNER = "benchmark_fakes:FakeRunner"
+RUNNER = benchmark_fakes.FakeRunner
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +47,7 @@ def lasting(folder: Path) -> dict:
     return {key: value for key, value in document.items() if key not in ("timing", "platform")}
 
 
-def local(config: Plan, name: str = RUNNER, workers: int = 0) -> dict:
+def local(config: Plan, name: Any = RUNNER, workers: int = 0) -> dict:
     here = config.changed(out=config.out.parent / "local", executor="local", workers=workers)
     run(here, progress=False, runner=name)
     return lasting(here.out)
@@ -71,7 +73,7 @@ def test_killing_a_node_loses_nothing(spread, cluster):
     (raylet,) = node.all_processes["raylet"]
     (spread.out.parent / "doomed").write_text(str(raylet.process.pid))
     spread = spread.changed(workers=3)
-    results = run(spread, progress=False, runner="benchmark_fakes:NodeLosingRunner")
+    results = run(spread, progress=False, runner=benchmark_fakes.NodeLosingRunner)
     assert raylet.process.wait(timeout=60) != 0
     assert results.timing.episodes_flown == 20
     assert lasting(spread.out) == local(spread)
@@ -79,14 +81,14 @@ def test_killing_a_node_loses_nothing(spread, cluster):
 
 @pytest.mark.parametrize("name", ["ActorLosingRunner", "OnceDyingRunner"])
 def test_a_worker_that_is_killed_from_outside_is_replaced_and_its_episode_flown_again(spread, name):
-    run(spread, progress=False, runner=f"benchmark_fakes:{name}")
+    run(spread, progress=False, runner=getattr(benchmark_fakes, name))
     assert (spread.out.parent / "lost").exists()
     assert lasting(spread.out) == local(spread)
 
 
 def test_an_episode_that_costs_every_worker_ends_the_run_which_goes_on_elsewhere(spread):
     with pytest.raises(RunError, match=r"episode 5 .* has lost its worker 3 times; .*--resume.*SIGKILL"):
-        run(spread, progress=False, runner="benchmark_fakes:DyingRunner")
+        run(spread, progress=False, runner=benchmark_fakes.DyingRunner)
     assert 5 not in read_records(spread.out)
     results = run(spread.changed(executor="local", workers=0, resume=True), progress=False, runner=RUNNER)
     assert results.timing.episodes_flown < 20
@@ -96,8 +98,8 @@ def test_an_episode_that_costs_every_worker_ends_the_run_which_goes_on_elsewhere
 @pytest.mark.parametrize("name", ["CrashingRunner", "HangingRunner"])
 def test_a_policy_that_takes_its_process_down_costs_the_same_as_locally(spread, name):
     spread = spread.changed(decision_timeout=1.0, episodes=7)
-    run(spread, progress=False, runner=f"benchmark_fakes:{name}")
-    assert lasting(spread.out) == local(spread, f"benchmark_fakes:{name}", workers=1)
+    run(spread, progress=False, runner=getattr(benchmark_fakes, name))
+    assert lasting(spread.out) == local(spread, getattr(benchmark_fakes, name), workers=1)
     assert lasting(spread.out)["episodes"][5]["message"]
 
 
@@ -110,7 +112,7 @@ def test_a_policy_that_takes_its_process_down_costs_the_same_as_locally(spread, 
 )
 def test_errors_arrive_as_their_own_sentence(spread, name, says):
     with pytest.raises(CognitiveDroneError, match=says):
-        run(spread, progress=False, runner=f"benchmark_fakes:{name}")
+        run(spread, progress=False, runner=getattr(benchmark_fakes, name))
 
 
 def test_a_node_of_another_version_does_not_fly(spread, monkeypatch):

@@ -11,7 +11,7 @@ import pytest
 from benchmark_fakes import FakeRunner
 
 from cognitivedrone.benchmark.runs.job import resolve
-from cognitivedrone.benchmark.runs.records import EPISODES_FILE, RunFolder, check_folder, digest_of_run, read_records
+from cognitivedrone.benchmark.runs.records import EPISODES_FILE, RunFolder, digest_of_run, read_records
 from cognitivedrone.benchmark.scores.codec import dumps
 from cognitivedrone.errors import RunError
 
@@ -106,9 +106,15 @@ def test_a_file_is_no_folder(tmp_path, facts):
         RunFolder(tmp_path / "out", facts)
 
 
-def test_two_runs_do_not_write_to_one_folder(folder, facts):
-    with RunFolder(folder, facts, resume=True), pytest.raises(RunError, match="another run is writing"):
-        RunFolder(folder, facts, resume=True)
+def test_two_runs_do_not_write_to_one_folder(folder, facts, config):
+    flown = FakeRunner(resolve(config)).fly(4, film=False)
+    late = RunFolder(folder, facts, resume=True)
+    with RunFolder(folder, facts, resume=True) as first:
+        with pytest.raises(RunError, match="another run is writing"):
+            late.__enter__()
+        first.append(flown, "imagination")
+    with pytest.raises(RunError, match="another run is writing"):  # to what was read before
+        late.__enter__()
 
 
 @pytest.mark.parametrize("name", [EPISODES_FILE, "run.json", "results.json", "results.json.tmp", "errors"])
@@ -156,8 +162,8 @@ def test_records_with_another_name_elsewhere_are_not_changed_there(folder, facts
     other = tmp_path / "other"
     other.hardlink_to(folder / EPISODES_FILE)
     before = other.read_bytes()
-    with pytest.raises(RunError, match="a hard link"):
-        RunFolder(folder, facts, **options)
+    with pytest.raises(RunError, match="a hard link"), RunFolder(folder, facts, **options):
+        pass
     assert other.read_bytes() == before
 
 
@@ -232,9 +238,8 @@ def test_a_record_that_does_not_fit_the_suite_is_refused_even_with_its_checksum(
         assert len(opened.records) == 4
     rewritten(folder, 2, change)
     before = (folder / EPISODES_FILE).read_bytes()
-    for read in (RunFolder, check_folder):
-        with pytest.raises(RunError, match=reason):
-            read(folder, job.facts, tracks=tracks, resume=True)
+    with pytest.raises(RunError, match=reason):
+        RunFolder(folder, job.facts, tracks=tracks, resume=True)
     assert (folder / EPISODES_FILE).read_bytes() == before
 
 
@@ -243,10 +248,11 @@ def test_a_file_system_without_locks_is_named_and_nothing_is_left_there(tmp_path
         raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
 
     monkeypatch.setattr(fcntl, "flock", missing)
-    with pytest.raises(RunError, match=r"the file system there has no locks .*; give a folder on a local disk"):
-        RunFolder(tmp_path / "new", facts)
+    no_locks = r"the file system there has no locks .*; give a folder on a local disk"
+    with pytest.raises(RunError, match=no_locks), RunFolder(tmp_path / "new", facts):
+        pass
     assert not (tmp_path / "new").exists()
     before = (folder / EPISODES_FILE).read_bytes()
-    with pytest.raises(RunError, match="has no locks"):
-        RunFolder(folder, facts, resume=True)
+    with pytest.raises(RunError, match="has no locks"), RunFolder(folder, facts, resume=True):
+        pass
     assert (folder / EPISODES_FILE).read_bytes() == before

@@ -8,6 +8,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import benchmark_fakes
 import pytest
 
 from cognitivedrone.benchmark.config import Plan
@@ -17,7 +18,7 @@ from cognitivedrone.errors import CognitiveDroneError, MissingExtra, RunError
 from cognitivedrone.tasks import load_suite, open_suite, write_tasks
 from cognitivedrone.tasks.scenario import chain, suite_of
 
-RUNNER = "benchmark_fakes:FakeRunner"
+RUNNER = benchmark_fakes.FakeRunner
 
 
 def lasting(folder: Path) -> dict:
@@ -33,13 +34,14 @@ import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a test run in the background is started deaf to it
 sys.path.insert(0, {str(Path(__file__).parents[1])!r})
 from pathlib import Path
+import benchmark_fakes
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.runs.runner import run
 if __name__ == "__main__":
     config = Plan.of(policy="fake", suite="open-v1:train", episodes=20, clips=0, workers={workers},
                        out=Path({str(config.out)!r}))
     try:
-        run(config, progress=False, runner={runner!r})
+        run(config, progress=False, runner=benchmark_fakes.{runner})
     except KeyboardInterrupt as stop:
         print(stop)
         sys.exit(130)
@@ -68,7 +70,7 @@ def test_the_seed_changes_the_flights(config, tmp_path):
 
 
 def test_a_killed_run_goes_on_and_ends_as_if_nothing_had_happened(config, tmp_path):
-    killed = in_new_process(config, "benchmark_fakes:DyingRunner", workers=0)
+    killed = in_new_process(config, "DyingRunner", workers=0)
     assert killed.returncode == -signal.SIGKILL
     assert sorted(read_records(config.out)) == [0, 1, 2, 3, 4]
     assert not (config.out / "results.json").exists()
@@ -80,7 +82,7 @@ def test_a_killed_run_goes_on_and_ends_as_if_nothing_had_happened(config, tmp_pa
 
 def test_a_finished_run_is_not_flown_again(config):
     first = run(config, progress=False, runner=RUNNER)
-    assert run(config.changed(resume=True), progress=False, runner="benchmark_fakes:UnlabelledRunner") == first
+    assert run(config.changed(resume=True), progress=False, runner=benchmark_fakes.UnlabelledRunner) == first
 
 
 def test_another_rule_on_resume_gives_its_own_report_without_flying(config):
@@ -94,13 +96,13 @@ def test_another_rule_on_resume_gives_its_own_report_without_flying(config):
 
 def test_ctrl_c_keeps_what_is_flown_and_says_how_to_go_on(config):
     with pytest.raises(Interrupted, match=r"stopped after 5 of 20 episodes.*--resume") as stop:
-        run(config, progress=False, runner="benchmark_fakes:InterruptedRunner")
+        run(config, progress=False, runner=benchmark_fakes.InterruptedRunner)
     assert isinstance(stop.value, KeyboardInterrupt)
     assert sorted(read_records(config.out)) == [0, 1, 2, 3, 4]
 
 
 def test_ctrl_c_with_workers_ends_them_quietly(config):
-    stopped = in_new_process(config, "benchmark_fakes:GroupInterruptedRunner", workers=2)
+    stopped = in_new_process(config, "GroupInterruptedRunner", workers=2)
     assert stopped.returncode == 130
     assert "--resume" in stopped.stdout
     assert not stopped.stderr.strip()  # older versions of rich end the bar's line
@@ -110,7 +112,7 @@ def test_ctrl_c_with_workers_ends_them_quietly(config):
 
 def test_a_worker_that_dies_is_reported_with_its_episode_and_the_rest_is_kept(config):
     with pytest.raises(RunError, match=r"episode 5 \(open-v1:train/0-5\) was killed by SIGKILL.*--resume"):
-        run(config.changed(workers=2), progress=False, runner="benchmark_fakes:DyingRunner")
+        run(config.changed(workers=2), progress=False, runner=benchmark_fakes.DyingRunner)
     assert set(read_records(config.out)) >= {0, 1, 2, 3}
     assert run(config.changed(resume=True), progress=False, runner=RUNNER).summary().overall.n == 20
 
@@ -125,7 +127,7 @@ def test_a_worker_that_dies_is_reported_with_its_episode_and_the_rest_is_kept(co
 )
 def test_a_worker_that_a_policy_takes_down_costs_one_episode(config, runner, says, trace, workers):
     config = config.changed(workers=workers, decision_timeout=1.0)
-    results = run(config, progress=False, runner=f"benchmark_fakes:{runner}")
+    results = run(config, progress=False, runner=getattr(benchmark_fakes, runner))
     (failed,) = (episode for episode in results.episodes if episode.message)
     assert failed.episode == 5
     assert [stage.outcome for stage in failed.stages] == ["policy_error"]
@@ -140,13 +142,13 @@ def test_a_worker_that_a_policy_takes_down_costs_one_episode(config, runner, say
 
 def test_a_worker_that_leaves_on_its_own_never_ends_a_run_well(config):
     with pytest.raises(RunError, match=r"the worker of episode 5 .* ended with exit code 0; continue with --resume"):
-        run(config.changed(workers=1), progress=False, runner="benchmark_fakes:LeavingRunner")
+        run(config.changed(workers=1), progress=False, runner=benchmark_fakes.LeavingRunner)
     assert not (config.out / "results.json").exists()
 
 
 def test_fail_fast_stops_at_the_first_exception_and_records_nothing_of_its_episode(config):
     with pytest.raises(RunError, match=r"episode 5: the reasoner raised an exception; its traceback is in .*0005\.txt"):
-        run(config.changed(fail_fast=True), progress=False, runner="benchmark_fakes:RaisingRunner")
+        run(config.changed(fail_fast=True), progress=False, runner=benchmark_fakes.RaisingRunner)
     assert sorted(read_records(config.out)) == [0, 1, 2, 3, 4]
     assert run(config.changed(resume=True), progress=False, runner=RUNNER).summary().overall.n == 20
 
@@ -155,12 +157,12 @@ def test_a_pilot_that_cannot_be_made_costs_no_earlier_run(config):
     run(config, progress=False, runner=RUNNER)
     before = lasting(config.out)
     with pytest.raises(CognitiveDroneError, match="zebr"):
-        run(config.changed(overwrite=True), progress=False, runner="benchmark_fakes:UnlabelledRunner")
+        run(config.changed(overwrite=True), progress=False, runner=benchmark_fakes.UnlabelledRunner)
     assert lasting(config.out) == before
 
 
 def test_overwriting_takes_old_tracebacks_away(config):
-    run(config, progress=False, runner="benchmark_fakes:RaisingRunner")
+    run(config, progress=False, runner=benchmark_fakes.RaisingRunner)
     assert (config.out / "errors").exists()
     run(config.changed(overwrite=True), progress=False, runner=RUNNER)
     assert not (config.out / "errors").exists()
@@ -168,19 +170,19 @@ def test_overwriting_takes_old_tracebacks_away(config):
 
 def test_a_bug_in_a_worker_is_reported_with_its_episode_and_its_traceback_is_kept(config):
     with pytest.raises(RunError, match=r"episode 5 .* failed: ZeroDivisionError: a bug in a policy.*error\.txt"):
-        run(config.changed(workers=2), progress=False, runner="benchmark_fakes:BuggyRunner")
+        run(config.changed(workers=2), progress=False, runner=benchmark_fakes.BuggyRunner)
     assert "benchmark_fakes.py" in (config.out / "error.txt").read_text()
 
 
 def test_a_worker_that_cannot_start_is_reported(config):
     with pytest.raises(RunError, match="a worker ended with exit code 3 before it was ready; bench --workers 0"):
-        run(config.changed(workers=2), progress=False, runner="benchmark_fakes:StillbornRunner")
+        run(config.changed(workers=2), progress=False, runner=benchmark_fakes.StillbornRunner)
 
 
 @pytest.mark.parametrize("workers", [0, 1, 2])
 def test_an_error_of_ours_arrives_as_its_own_sentence(config, workers):
     with pytest.raises(CognitiveDroneError, match=r"^label 'zebr' is not in the pack; did you mean 'zebra'\?$"):
-        run(config.changed(workers=workers), progress=False, runner="benchmark_fakes:UnlabelledRunner")
+        run(config.changed(workers=workers), progress=False, runner=benchmark_fakes.UnlabelledRunner)
 
 
 def test_no_more_workers_than_episodes(config):
@@ -293,7 +295,7 @@ def test_the_folder_is_named_after_suite_and_pilot():
 
 
 def test_workers_do_not_outlive_a_run(config):
-    run(config.changed(workers=2), progress=False, runner="benchmark_fakes:NamedRunner")
+    run(config.changed(workers=2), progress=False, runner=benchmark_fakes.NamedRunner)
     renderer = json.loads((config.out / "results.json").read_text())["renderer"]
     pids = [int(name.split()[-1]) for name in renderer.split(" and ")]
     assert pids

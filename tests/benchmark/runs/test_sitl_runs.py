@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from typing import cast
 
+import benchmark_fakes
 import pytest
 from arducopters import REAL, needs_arducopter, played_arducopter
 from rich.console import Group
@@ -47,7 +48,7 @@ def test_a_task_is_flown_on_another_autopilot_and_the_run_tells_so(sitl, tmp_pat
 
 
 def test_files_without_a_link_are_of_our_own_autopilot(config):
-    results = run(config, progress=False, runner="benchmark_fakes:FakeRunner")
+    results = run(config, progress=False, runner=benchmark_fakes.FakeRunner)
     document = json.loads((config.out / "results.json").read_text())
     assert not {"link", "autopilot"} & document["options"].keys()
     assert "link" not in document["timing"]
@@ -61,7 +62,7 @@ def test_files_without_a_link_are_of_our_own_autopilot(config):
 
 def test_the_reason_of_every_restart_is_in_the_results_and_the_table(config):
     link = LinkReport(1200, 0, 3, ("fell silent", "the mode became LAND", "fell silent"))
-    results = run(config, progress=False, runner="benchmark_fakes:FakeRunner")
+    results = run(config, progress=False, runner=benchmark_fakes.FakeRunner)
     timing = replace(results.timing, link=link)
     again = results_from_json(json.loads(json.dumps(results_to_json(replace(results, timing=timing)))), "here")
     assert again.timing.link == link

@@ -3,6 +3,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 
+import benchmark_fakes
 import pytest
 from rich.console import Console
 
@@ -14,7 +15,7 @@ from cognitivedrone.benchmark.scores.results import read_results, write_results
 from cognitivedrone.benchmark.scores.scoring import Paired, mcnemar
 from cognitivedrone.errors import RunError
 
-RUNNER = "benchmark_fakes:FakeRunner"
+RUNNER = benchmark_fakes.FakeRunner
 
 
 @pytest.fixture

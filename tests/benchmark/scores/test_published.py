@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import benchmark_fakes
 import pytest
 
 from cognitivedrone.benchmark.runs.runner import run
@@ -57,7 +58,7 @@ def test_other_pages_name_the_overall_rates(page):
 
 
 def test_only_shipped_suites_with_all_categories_are_compared(config):
-    results = run(config.changed(suite="open-v1:test"), progress=False, runner="benchmark_fakes:FakeRunner")
+    results = run(config.changed(suite="open-v1:test"), progress=False, runner=benchmark_fakes.FakeRunner)
     assert comparable("open-v1:test", results.summary())
     assert not comparable("own.json", results.summary())
     some = tuple(e for e in results.episodes if e.stages[0].category != "reasoning")

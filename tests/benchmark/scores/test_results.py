@@ -4,6 +4,7 @@ import json
 import re
 from pathlib import Path
 
+import benchmark_fakes
 import pytest
 
 from cognitivedrone.benchmark.runs.runner import run
@@ -15,7 +16,7 @@ DOCS = Path(__file__).parents[3] / "docs" / "benchmark.md"
 
 @pytest.fixture
 def results(config):
-    return run(config, progress=False, runner="benchmark_fakes:FakeRunner")
+    return run(config, progress=False, runner=benchmark_fakes.FakeRunner)
 
 
 @pytest.fixture

@@ -3,6 +3,8 @@
 import json
 from dataclasses import replace
 
+import benchmark_fakes
+
 from cognitivedrone import evaluate
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.runs.runner import run
@@ -34,7 +36,7 @@ def test_an_answer_that_differs_between_flights_alone_is_named():
 
 def test_a_policy_that_flies_at_one_gate_whatever_it_reads_is_named_and_one_that_reads_is_not(tmp_path):
     plan = Plan.of(policy="fake", suite="open-v1:test", episodes=12, workers=0, clips=0, out=tmp_path / "run")
-    results = run(plan, progress=False, runner="benchmark_fakes:FakeRunner")
+    results = run(plan, progress=False, runner=benchmark_fakes.FakeRunner)
 
     def flown_at(gate):
         """The results, had every flight gone to that gate, or to the right one."""

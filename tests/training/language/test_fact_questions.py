@@ -19,8 +19,8 @@ from cognitivedrone.tasks.knowledge import Phrase
 from cognitivedrone.tasks.suites import train_task
 from cognitivedrone.training.language import fact_phrasing as say
 from cognitivedrone.training.language.fact_questions import FACTS, FactQuestions, Pair, Ways
-from cognitivedrone.training.language.phrasing import SPOKEN
 from cognitivedrone.training.language.questions import ask
+from cognitivedrone.training.language.wordings import TYPED
 from cognitivedrone.types import Gate
 
 GATES = (Gate("big", "round", "red"), Gate("small", "square", "green"), Gate("small", "round", "blue"))
@@ -48,7 +48,7 @@ def test_random_scenes_have_exactly_one_right_gate_for_every_possible_question()
     rng = np.random.default_rng(5)
     asked = Counter()
     for number in range(600):
-        puzzle = QUESTIONS.puzzle(Draw(rng, SPOKEN, number % 3))
+        puzzle = QUESTIONS.puzzle(Draw(rng, TYPED, number % 3))
         shown = tuple(panel.label for panel in puzzle.panels)
         ways = QUESTIONS.ways(shown, number % 3)
         things = [label.rpartition("@")[0] for label in shown]
@@ -138,7 +138,7 @@ def draws(seed: int, **more: FactQuestions) -> str:
     rng = np.random.default_rng(seed)
     for index in range(300):
         task = train_task(index, seed=17)
-        pools = SPOKEN if index % 2 else TRAIN
+        pools = TYPED if index % 2 else TRAIN
         question = ask(rng, task.labels, task.board, task.gates, index % 3, None, pools, **more)
         digest.update(repr(question).encode())
     return digest.hexdigest()
@@ -149,7 +149,7 @@ def test_questions_without_facts_are_drawn_as_before() -> None:
     assert draws(9, facts=QUESTIONS) != BEFORE
 
 
-BEFORE = "10a4df55d98ca7f2ea700c90ed44264fc8fb9730ac0a68176055ae2d679b3ecd"
+BEFORE = "aeb2316e1f4e6c0f2966cd4b19d8edb3edfd567db02498c6dddeee584a244edd"
 
 
 def test_facts_are_asked_where_they_are_passed() -> None:
@@ -171,7 +171,7 @@ def test_facts_are_asked_where_they_are_passed() -> None:
 def test_scenes_depend_on_the_generator_alone_and_vary() -> None:
     def run() -> list[str]:
         rng = np.random.default_rng(8)
-        return [QUESTIONS.puzzle(Draw(rng, SPOKEN, i % 3)).instruction for i in range(300)]
+        return [QUESTIONS.puzzle(Draw(rng, TYPED, i % 3)).instruction for i in range(300)]
 
     first = run()
     assert run() == first

@@ -11,7 +11,6 @@ import pytest
 import torch
 from quick_trainings import train_here
 
-from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.eyes.obstacle_eye import DEPTHS_M, EYE_FILE, PARTS, ObstacleEye
 from cognitivedrone.models.eyes.obstacle_network import occupied_and_depth
 from cognitivedrone.training.obstacles import DEBUG_OBSTACLES, OBSTACLES, ObstacleLoss, ObstacleTraining
@@ -73,12 +72,6 @@ def test_depths_are_means_of_what_is_likely_if_anything_is_there() -> None:
     occupied, depth = occupied_and_depth(logits, torch.tensor(DEPTHS_M).log())
     assert occupied.item() == pytest.approx(0.25)
     assert depth.item() == pytest.approx((DEPTHS_M[2] * DEPTHS_M[3]) ** 0.5)
-
-
-def test_processes_share_a_batch_evenly(task: ObstacleTraining) -> None:
-    assert task.share(2).recipe.stream.batch == DEBUG_OBSTACLES.stream.batch // 2
-    with pytest.raises(TrainingError, match="cannot be shared by 3 processes"):
-        task.share(3)
 
 
 def test_it_is_a_recipe_that_starts_from_nothing() -> None:

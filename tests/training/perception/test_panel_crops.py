@@ -132,22 +132,6 @@ def test_attributes_are_those_of_the_label() -> None:
     }
 
 
-def test_a_place_is_behind_the_panel_and_the_panel_as_it_was() -> None:
-    """Nothing is drawn for a share of zero, so the crops of before are the same bytes."""
-    cat = picture("animal/cat@noto")
-    plain, none, there = (
-        [panel_image_of(cat, SIZE, np.random.default_rng(seed), *share) for seed in range(20)]
-        for share in ((), (0.0,), (1.0,))
-    )
-    assert all((a == b).all() for a, b in zip(plain, none, strict=True))
-    rim = np.ones((SIZE, SIZE), bool)
-    rim[2:-2, 2:-2] = False
-    assert np.median([crop[rim].std(axis=0).mean() for crop in there]) > np.median(
-        [crop[rim].std(axis=0).mean() for crop in plain]
-    )
-    assert len({crop.tobytes() for crop in there}) == 20
-
-
 def test_crops_are_of_the_size_that_is_asked_for() -> None:
     images, _ = PanelCrops(20, INDEX.of, lambda _: "letter/W@inter").draw(np.random.default_rng(0), 3)
     assert images.shape == (3, 20, 20, 3)

@@ -13,11 +13,12 @@ from cognitivedrone.models.eyes.panel_reader import Reader, ReaderConfig
 from cognitivedrone.models.words.scene_tokens import INPUTS, SceneTokenizer, stacked
 from cognitivedrone.models.words.text_encoder import parts_of
 from cognitivedrone.training.language.problems import ABSENT, ALONE, Mix, Problem, Problems
+from cognitivedrone.training.language.text_training import TextMix
 from cognitivedrone.training.perception import readings as module
 from cognitivedrone.training.perception.attributes import ATTRIBUTES, AttributeIndex
 from cognitivedrone.training.perception.panel_crops import PanelCrops
 from cognitivedrone.training.perception.readings import Bank, Readings, read_bank, readings_of
-from cognitivedrone.training.small_vla.language.described import TextMix, described
+from cognitivedrone.training.small_vla.language import described
 from cognitivedrone.training.trainer.start import read_start
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate
 

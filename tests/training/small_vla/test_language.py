@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 import tyro
-from quick_trainings import SCHEDULE, InProcess, killed_at, train_here
+from quick_trainings import SCHEDULE, InProcess, train_here
 from torch.distributed.run import parse_args
 
 from cognitivedrone.errors import TrainingError
@@ -21,8 +21,7 @@ from cognitivedrone.training.launch import command_of, run
 from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.training.perception.readings import Readings
 from cognitivedrone.training.recipes import ALL_RECIPES, RECIPES
-from cognitivedrone.training.small_vla.language import DEBUG_LANGUAGE, LanguageTraining, spoken
-from cognitivedrone.training.small_vla.language.described import described
+from cognitivedrone.training.small_vla.language import DEBUG_LANGUAGE, LanguageTraining, described, spoken
 from cognitivedrone.training.trainer import trainer
 from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint
 from cognitivedrone.training.trainer.run_log import METRICS, read_rows
@@ -86,18 +85,6 @@ def test_all_learns_but_the_reader_and_the_encoders_first_layers(training_task: 
     assert facts["data"].startswith("from debug-selector, step 6, seed 0; from reader, step 6, seed 0")
 
 
-def test_a_killed_training_ends_with_the_same_weights(
-    training_task: LanguageTraining, taught: Path, tmp_path: Path
-) -> None:
-    # The report of a round comes before its checkpoint, so the second round is trained again.
-    with killed_at(4) as kill:
-        train_here(tmp_path, training_task, report=kill)
-    assert read_checkpoint(tmp_path / CHECKPOINT)[1]["step"] == 2
-    again = read_checkpoint(train_here(tmp_path, training_task, resume=True))[0]
-    for name, value in read_checkpoint(taught)[0].items():
-        assert torch.equal(value, again[name]), name
-
-
 def test_what_was_not_understood_can_be_learned(training_task: LanguageTraining) -> None:
     rng, drawn = np.random.default_rng(0), Problems(TINY.mix.problems)
     problems: list[Problem] = []
@@ -149,16 +136,6 @@ def test_one_command_teaches_calibrates_and_exports_and_a_policy_starts_from_it(
         assert torch.equal(value, tensors[f"network.language.{name}"]), name
     assert task.encoder == path
     assert task.facts()["encoder"] == facts["encoder"]
-
-
-def test_an_overconfident_language_is_calibrated(training_task: LanguageTraining) -> None:
-    network = training_task.network()
-    loss_module = training_task.loss_module(network)
-    with torch.no_grad():
-        network.language.scale.mul_(3)  # far too sure of guesses
-    assert training_task.temperature(loss_module) > 1.5
-    network.language.temperature.fill_(1e3)  # now of nothing, not even of what the scenes say
-    assert training_task.temperature(loss_module) < 1.0
 
 
 @pytest.mark.parametrize(

@@ -19,11 +19,12 @@ from cognitivedrone.models.words.language import Language, LanguageConfig
 from cognitivedrone.models.words.scene_tokens import SceneTokenizer
 from cognitivedrone.models.words.text_encoder import encoder_of
 from cognitivedrone.training.language.problems import ABSENT, Problem, Problems
+from cognitivedrone.training.language.text_training import TextMix
 from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.training.perception.readings import Readings
 from cognitivedrone.training.recipes import RECIPES
 from cognitivedrone.training.small_vla import losses
-from cognitivedrone.training.small_vla.language.described import TextMix, described, text_loss
+from cognitivedrone.training.small_vla.language import described, text_loss
 from cognitivedrone.training.small_vla.losses import (
     LossWeights,
     SmallVlaLosses,
@@ -31,7 +32,7 @@ from cognitivedrone.training.small_vla.losses import (
     action_targets,
     true_slots,
 )
-from cognitivedrone.training.small_vla.sampling import Sampler, SampleSource
+from cognitivedrone.training.small_vla.sampling import Sampler
 from cognitivedrone.training.small_vla.stream import RolloutStream
 from cognitivedrone.training.trainer.training_task import Batch, to_tensors
 
@@ -50,7 +51,7 @@ pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
 def batch(language_checkpoint: Path) -> Batch:
     """Frames of the debug recipe, with three actions each; boards are among them. Words are a tiny encoder's, cut."""
     recipe = replace(DEBUG.stream, batch=12, worlds=8, chunk=3, varied=0.0)
-    rollout_stream = RolloutStream(recipe, Sampler(recipe, SampleSource(encoder_of(language_checkpoint))))
+    rollout_stream = RolloutStream(recipe, Sampler(recipe, encoder_of(language_checkpoint)))
     try:
         for made in itertools.islice(rollout_stream((3,)), 200):
             boards = made["legible"][:, SLOTS].sum()

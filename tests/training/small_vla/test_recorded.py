@@ -15,20 +15,18 @@ from cognitivedrone.collect.recipe import RECIPES as COLLECTED
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.training.recipes import RECIPES
-from cognitivedrone.training.small_vla.sampling import SampleSource
 from cognitivedrone.training.small_vla.stream import Recorded
 from cognitivedrone.training.trainer.checkpoint import read_checkpoint
 from cognitivedrone.training.trainer.training_task import Given
 
 STREAM = replace(RECIPES["debug"].stream, chunk=3, batch=16)
-SOURCE = SampleSource(None)
 
 pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
 
 
 @pytest.fixture
 def recorded(flights: Path) -> Recorded:
-    return Recorded(flights, STREAM, SOURCE)
+    return Recorded(flights, STREAM, None)
 
 
 def test_frames_states_and_actions_are_those_of_the_record(flights: Path, recorded: Recorded) -> None:
@@ -63,7 +61,7 @@ def test_an_epoch_shows_every_training_step_once(flights: Path, recorded: Record
 
 def test_splits_do_not_mix(flights: Path) -> None:
     store = Store(flights)
-    validation = Recorded(flights, STREAM, SOURCE, split="val")
+    validation = Recorded(flights, STREAM, None, split="val")
     seen = {image.tobytes() for image in next(validation.batches((0,)))["image"]}
     assert seen <= {image.tobytes() for image in store.steps(store.step_numbers("val"))["image"]}
     assert not seen & {image.tobytes() for image in store.steps(store.step_numbers("train"))["image"]}

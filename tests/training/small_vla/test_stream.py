@@ -23,7 +23,7 @@ from cognitivedrone.training.language.questions import Question, ask
 from cognitivedrone.training.perception.attributes import gate_looks
 from cognitivedrone.training.recipes import ALL_RECIPES, RECIPES
 from cognitivedrone.training.small_vla import sampling, stream
-from cognitivedrone.training.small_vla.sampling import LONGEST, NONE_IN_VIEW, Sampler, SampleSource, StreamRecipe
+from cognitivedrone.training.small_vla.sampling import LONGEST, NONE_IN_VIEW, Sampler, StreamRecipe
 from cognitivedrone.training.small_vla.stream import RolloutStream
 from cognitivedrone.training.trainer.training_task import Batch
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Gate, Task
@@ -56,7 +56,7 @@ def batches(
     with pytest.MonkeyPatch.context() as patch:
         if encoder is None:
             patch.setattr(Sampler, "_encoded", written)
-        rollout_stream = RolloutStream(recipe, Sampler(recipe, SampleSource(encoder)))
+        rollout_stream = RolloutStream(recipe, Sampler(recipe, encoder))
         try:
             return list(itertools.islice(rollout_stream(seed, learner), count))  # type: ignore[arg-type]
         finally:
@@ -155,7 +155,6 @@ def test_a_share_of_the_flights_is_in_places_that_models_are_trained_in(monkeypa
 def test_recipes_of_before_see_no_places() -> None:
     assert {name for name, each in ALL_RECIPES.items() if _sees_places(each)} == {
         "places",
-        "reader-places",
         "obstacles",
         "debug-obstacles",
     }
@@ -176,9 +175,7 @@ def test_words_are_those_of_the_encoder_and_nothing_beyond(encoder: Path) -> Non
 
 
 def test_a_policy_that_hears_nothing_gets_no_words() -> None:
-    rollout_stream = RolloutStream(
-        replace(RECIPE, suite="race"), Sampler(replace(RECIPE, suite="race"), SampleSource(None))
-    )
+    rollout_stream = RolloutStream(replace(RECIPE, suite="race"), Sampler(replace(RECIPE, suite="race"), None))
     try:
         batch = next(rollout_stream((1, 2)))
     finally:
@@ -187,7 +184,7 @@ def test_a_policy_that_hears_nothing_gets_no_words() -> None:
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(encoder: Path) -> None:
-    rollout_stream = RolloutStream(RECIPE, Sampler(RECIPE, SampleSource(encoder)))
+    rollout_stream = RolloutStream(RECIPE, Sampler(RECIPE, encoder))
     try:
         first, other, again = (list(itertools.islice(rollout_stream((seed,)), 3)) for seed in (5, 6, 5))
     finally:
@@ -351,7 +348,7 @@ def test_a_share_of_the_flights_has_gates_at_other_places() -> None:
     def flights(share: float) -> list[Any]:
         rollout_stream = RolloutStream(
             replace(RECIPE, layouts=share, worlds=6),
-            Sampler(replace(RECIPE, layouts=share, worlds=6), SampleSource(None)),
+            Sampler(replace(RECIPE, layouts=share, worlds=6), None),
         )
         try:
             next(rollout_stream((4, 2)))

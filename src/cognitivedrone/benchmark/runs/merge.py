@@ -10,18 +10,17 @@ from operator import add
 from pathlib import Path
 from typing import Final
 
+from cognitivedrone.benchmark.runs.job import Shard, parse_shard
 from cognitivedrone.benchmark.runs.records import (
     ERRORS_FOLDER,
     RUN_FILE,
     Record,
     RunFolder,
-    check_folder,
     check_records,
     differences,
     read_records,
 )
 from cognitivedrone.benchmark.runs.runner import timing_of, write_products
-from cognitivedrone.benchmark.runs.shard import Shard, parse_shard
 from cognitivedrone.benchmark.scores.codec import dumps
 from cognitivedrone.benchmark.scores.results import RESULTS_FILE, Results, RunFacts, read_results
 from cognitivedrone.benchmark.scores.run_types import Rollout
@@ -61,13 +60,13 @@ def merge(parts: Sequence[Path], out: Path, *, overwrite: bool = False) -> Resul
         raise RunError(f"{out} is one of the shards; give another --out")
     if (out / RUN_FILE).exists() and not overwrite:
         raise RunError(f"{out} already contains a run; give --overwrite to delete it, or another --out")
-    check_folder(out, facts, overwrite=overwrite)
+    run_folder = RunFolder(out, facts, overwrite=overwrite)
     records = {episode: part.records[episode] for part in read for episode in part.records}
     ordered = [records[episode] for episode in sorted(records)]
     tracks = _tracks(facts, ordered)
     for part in read:
         check_records(part.records, facts, tracks, str(part.path))
-    with RunFolder(out, facts, overwrite=overwrite) as folder:
+    with run_folder as folder:
         for record in ordered:
             folder.append(Rollout(record.result, record.trace), record.renderer)
         for part in read:

@@ -23,7 +23,6 @@ from cognitivedrone.benchmark.scores.run_types import Rollout, Trace
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import (
     append,
-    check_regular,
     is_left_over,
     open_regular,
     read_regular,
@@ -60,11 +59,14 @@ class Record:
 
 
 class RunFolder:
-    """An open run folder, locked against other processes until it is closed.
+    """The folder of a run: checked and read, and from entering its context on locked and written.
 
     Raises `RunError`, without changes, if the folder contains another run, or this run and neither `resume` nor
     `overwrite` is set; also for records of other flights than those through the suite's `tracks`, if they are given.
     """
+
+    records: dict[int, Record]
+    """By episode, as in the file."""
 
     def __init__(
         self,
@@ -75,83 +77,58 @@ class RunFolder:
         resume: bool = False,
         overwrite: bool = False,
     ) -> None:
-        self.path = path
-        self._digest = digest_of_run(facts)
-        self._tracks = tracks
+        self.path, self._facts, self._digest = path, facts, digest_of_run(facts)
+        self.records, self._length, self._size = {}, 0, 0
         with writing(path, RunError, "give another --out"):
-            self._open(facts, resume=resume, overwrite=overwrite)
+            self._kept = _check(path, facts, resume=resume, overwrite=overwrite) and resume
+        if self._kept and (path / EPISODES_FILE).exists():
+            self.records, self._length, self._size = _read(path / EPISODES_FILE, self._digest)
+            check_records(self.records, facts, tracks, str(path / EPISODES_FILE))
 
-    def _open(self, facts: RunFacts, *, resume: bool, overwrite: bool) -> None:
+    def __enter__(self) -> RunFolder:
         path = self.path
-        exists = _check(path, facts, resume=resume, overwrite=overwrite)
-        if exists and resume and (path / EPISODES_FILE).exists():
-            check_regular(path / EPISODES_FILE, MAX_EPISODES_BYTES)
-        created = not path.exists()
-        path.mkdir(parents=True, exist_ok=True)
-        try:
-            self._file = _lock(path / EPISODES_FILE)
-        except BaseException:
-            if created:
-                with contextlib.suppress(OSError):
-                    path.rmdir()
-            raise
-        try:
-            self._prepare(facts, keep=exists and resume)
-        except BaseException:
-            self._file.close()
-            raise
+        with writing(path, RunError, "give another --out"):
+            created = not path.exists()
+            path.mkdir(parents=True, exist_ok=True)
+            try:
+                self._file = _lock(path / EPISODES_FILE)
+            except BaseException:
+                if created:
+                    with contextlib.suppress(OSError):
+                        path.rmdir()
+                raise
+            try:
+                self._prepare()
+            except BaseException:
+                self._file.close()
+                raise
+        return self
 
-    def _prepare(self, facts: RunFacts, *, keep: bool) -> None:
+    def _prepare(self) -> None:
         remove_left_over(self.path)
-        if keep:
-            self.records, length = _read(self._file, self.path / EPISODES_FILE, self._digest)
-            check_records(self.records, facts, self._tracks, str(self.path / EPISODES_FILE))
-            self._file.truncate(length)
-            return
-        self.records = {}
-        self._file.truncate(0)
-        for name in (*PRODUCTS, ERRORS_FOLDER):
-            remove(self.path, name)
-        write_whole(self.path / RUN_FILE, dumps(facts, indent=1) + "\n")
-
-    records: dict[int, Record]
-    """By episode, as in the file."""
+        if self._kept and self._file.seek(0, os.SEEK_END) != self._size:
+            raise _busy(self.path)  # it has written since the records were read
+        self._file.truncate(self._length)
+        if not self._kept:
+            for name in (*PRODUCTS, ERRORS_FOLDER):
+                remove(self.path, name)
+            write_whole(self.path / RUN_FILE, dumps(self._facts, indent=1) + "\n")
 
     def append(self, flown: Rollout, renderer: str) -> None:
         """Write one episode to disk."""
-        line = _line(Record(flown.result, flown.trace, renderer), self._digest)
+        body = encode(Record(flown.result, flown.trace, renderer))
         kept = "free disk space, then continue with the same command and --resume; flown episodes are kept"
         with writing(self.path / EPISODES_FILE, RunError, kept):
-            self._file.write(line)
+            self._file.write(_line(dumps(body), self._digest))
             self._file.flush()
             os.fsync(self._file.fileno())
         # Keep exactly what a later resume would read, to the last digit.
-        self.records[flown.result.episode] = _parse(line, self._digest, "the record just written")
+        self.records[flown.result.episode] = decode(Record, body, "the record just written")
 
-    def close(self) -> None:
-        """Release the folder's lock."""
+    def __exit__(self, *error: object) -> None:
         # Closing flushes again what a full disk did not take; `append` has already raised the error.
         with contextlib.suppress(OSError):
             self._file.close()
-
-    def __enter__(self) -> RunFolder:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
-
-
-def check_folder(
-    path: Path, facts: RunFacts, *, tracks: Sequence[Track] = (), resume: bool = False, overwrite: bool = False
-) -> frozenset[int]:
-    """The episodes that a `RunFolder` with these arguments would have on record. Same errors, no changes."""
-    with writing(path, RunError, "give another --out"):
-        exists = _check(path, facts, resume=resume, overwrite=overwrite)
-    if not (exists and resume and (path / EPISODES_FILE).exists()):
-        return frozenset()
-    records = read_records(path, facts)
-    check_records(records, facts, tracks, str(path / EPISODES_FILE))
-    return frozenset(records)
 
 
 def digest_of_run(facts: RunFacts) -> str:
@@ -209,12 +186,7 @@ def read_records(path: Path, facts: RunFacts | None = None) -> dict[int, Record]
 
     Raises `RunError` for records of another run than that of these facts; by default, those of the folder's run.json.
     """
-    file = path / EPISODES_FILE
-    try:
-        with open_regular(file, MAX_EPISODES_BYTES) as stream:
-            return _read(stream, file, digest_of_run(_facts_in(path) if facts is None else facts))[0]
-    except OSError as error:
-        raise RunError(f"{file} cannot be read: {reason_of(error)}; give the --out folder of a run") from None
+    return _read(path / EPISODES_FILE, digest_of_run(_facts_in(path) if facts is None else facts))[0]
 
 
 def _holds_run(path: Path) -> bool:
@@ -285,12 +257,15 @@ def _lock(path: Path) -> BinaryIO:
         raise
     if not free:
         file.close()
-        raise RunError(f"another run is writing to {path.parent} right now; wait for it, or give another --out")
+        raise _busy(path.parent)
     return file
 
 
-def _line(record: Record, run: str) -> bytes:
-    body = dumps(record)
+def _busy(path: Path) -> RunError:
+    return RunError(f"another run is writing to {path} right now; wait for it, or give another --out")
+
+
+def _line(body: str, run: str) -> bytes:
     return f'{{"crc32":"{_checksum(run, body)}","run":"{run}","record":{body}}}\n'.encode()
 
 
@@ -314,18 +289,20 @@ def _parse(line: bytes, run: str, where: str) -> Record:
     return decode(Record, body, where)
 
 
-def _read(file: BinaryIO, path: Path, run: str) -> tuple[dict[int, Record], int]:
-    """The records, and the length in bytes of the intact part of the file."""
-    file.seek(0)
-    lines = file.read(MAX_EPISODES_BYTES).splitlines(keepends=True)
+def _read(path: Path, run: str) -> tuple[dict[int, Record], int, int]:
+    """The records, the length in bytes of the intact part of the file, and that of all of it. Raises `RunError`."""
+    try:
+        with open_regular(path, MAX_EPISODES_BYTES) as file:
+            content = file.read(MAX_EPISODES_BYTES)
+    except OSError as error:
+        raise RunError(f"{path} cannot be read: {reason_of(error)}; give the --out folder of a run") from None
+    lines = content.splitlines(keepends=True)
+    if lines and not lines[-1].endswith(b"\n"):
+        lines.pop()
     records: dict[int, Record] = {}
-    length = 0
     for number, line in enumerate(lines, start=1):
-        if number == len(lines) and not line.endswith(b"\n"):
-            break
         record = _parse(line, run, f"{path} line {number}")
         if record.result.episode in records:
             raise RunError(f"{path} line {number} repeats episode {record.result.episode}; give --overwrite")
         records[record.result.episode] = record
-        length += len(line)
-    return records, length
+    return records, sum(map(len, lines)), len(content)

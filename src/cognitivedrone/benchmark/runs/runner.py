@@ -16,11 +16,10 @@ from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.reports.clips import Clip, choose_clips, make_clip
 from cognitivedrone.benchmark.reports.report import REPORT_FILE, render_report
 from cognitivedrone.benchmark.runs.episode import PilotRunner
-from cognitivedrone.benchmark.runs.job import Job, resolve
+from cognitivedrone.benchmark.runs.job import Job, parse_shard, resolve
 from cognitivedrone.benchmark.runs.provenance import platform_facts
-from cognitivedrone.benchmark.runs.records import ERRORS_FOLDER, Record, RunFolder, check_folder
-from cognitivedrone.benchmark.runs.shard import parse_shard
-from cognitivedrone.benchmark.runs.workers import RUNNER, Flights, Wanted
+from cognitivedrone.benchmark.runs.records import ERRORS_FOLDER, Record, RunFolder
+from cognitivedrone.benchmark.runs.workers import Flights, MakeRunner, Wanted
 from cognitivedrone.benchmark.scores.results import (
     RESULTS_FILE,
     Results,
@@ -53,20 +52,25 @@ class Interrupted(KeyboardInterrupt):
 
 
 def run(
-    plan: Plan, *, progress: bool = True, runner: str = RUNNER, pilot: Pilot | None = None, command: str = ""
+    plan: Plan,
+    *,
+    progress: bool = True,
+    runner: MakeRunner = PilotRunner,
+    pilot: Pilot | None = None,
+    command: str = "",
 ) -> Results:
     """Fly, score and report; docs/benchmark.md describes the folder's content.
 
-    `runner` is the module:attribute of a factory of `EpisodeRunner`s from (Job, Watch). `pilot` supplies objects to fly
-    in this process, instead of the names in the plan; `command` is then the call that repeats the run.
+    `runner` makes what flies the episodes. `pilot` supplies objects to fly in this process, instead of the names in the
+    plan; `command` is then the call that repeats the run.
     Raises `RunError` if the run cannot start, continue or be read, `PolicyError` if the pilot cannot be made, and
     `Interrupted` on Ctrl-C; all finished episodes are kept.
     """
     began = time.perf_counter()
     job = resolve(plan, named=pilot is None)
     facts, path = job.facts, out_of(plan)
-    flown_before = check_folder(path, facts, tracks=job.suite.tracks, resume=plan.resume, overwrite=plan.overwrite)
-    missing = [episode for episode in job.episodes if episode not in flown_before]
+    run_folder = RunFolder(path, facts, tracks=job.suite.tracks, resume=plan.resume, overwrite=plan.overwrite)
+    missing = [episode for episode in job.episodes if episode not in run_folder.records]
     if not missing and (path / RESULTS_FILE).exists() and (path / REPORT_FILE).exists():
         finished = read_results(path)
         if finished.rule == plan.rule and finished.run == facts:
@@ -77,9 +81,7 @@ def run(
         screen = console(stderr=True)
         with screen.status("starting the simulators") if progress and redraws(screen) else nullcontext():
             pool = stack.enter_context(_pool_of(Flights(job, runner), max(len(missing), 1), pilot))
-        folder = stack.enter_context(
-            RunFolder(path, facts, tracks=job.suite.tracks, resume=plan.resume, overwrite=plan.overwrite)
-        )
+        folder = stack.enter_context(run_folder)
         try:
             link = _fly_missing(pool, folder, missing, job, show=progress)
             records = [folder.records[episode] for episode in job.episodes]

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from cognitivedrone import registry
+from cognitivedrone.benchmark.runs.episode import PilotRunner
 from cognitivedrone.benchmark.runs.job import Job, resolve
 from cognitivedrone.benchmark.runs.records import differences
 from cognitivedrone.benchmark.scores.run_types import EpisodeRunner, Rollout, Trace
@@ -17,8 +17,8 @@ from cognitivedrone.control.calls import NO_WATCH, Watch
 from cognitivedrone.envs.track_runner import unflown
 from cognitivedrone.types import EpisodeResult
 
-RUNNER = "cognitivedrone.benchmark.runs.episode:PilotRunner"
-"""Factory of `EpisodeRunner`s from (Job, Watch), as module:attribute for new processes."""
+MakeRunner: TypeAlias = Callable[[Job, Watch], EpisodeRunner]
+"""Found by new processes by its name in its module."""
 
 
 class Wanted(NamedTuple):
@@ -33,7 +33,7 @@ class Flights:
     """The flights of a run, as `rollout.pool.Work`."""
 
     job: Job
-    runner: str = RUNNER
+    runner: MakeRunner = PilotRunner
 
     @property
     def time_limit_s(self) -> float:
@@ -42,8 +42,7 @@ class Flights:
 
     def open(self, watch: Watch | None = None) -> EpisodeRunner:
         """An episode runner."""
-        made: EpisodeRunner = registry.load("episode runner", self.runner, {})(self.job, watch or NO_WATCH)
-        return made
+        return self.runner(self.job, watch or NO_WATCH)
 
     def fly(self, worker: EpisodeRunner, item: Wanted) -> Iterator[Rollout]:
         """One flight."""

@@ -7,6 +7,7 @@ import platform
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
@@ -85,7 +86,7 @@ class Timing:
     """Link statistics of this session, if an autopilot in another process flew."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Results:
     """The results of a run."""
 
@@ -98,9 +99,13 @@ class Results:
     platform: Mapping[str, str]
     timing: Timing
 
+    @cached_property
+    def _summaries(self) -> dict[Rule, Summary]:
+        return {rule: summarize(self.episodes, rule) for rule in RULES}
+
     def summary(self, rule: Rule | None = None) -> Summary:
         """The scores by a rule; the run's own by default."""
-        return summarize(self.episodes, rule or self.rule)
+        return self._summaries[rule or self.rule]
 
     @property
     def policy_failure(self) -> str:

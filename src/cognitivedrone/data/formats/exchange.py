@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
 from cognitivedrone.data.episode import Conditions, Encoding, Episode, Split
-from cognitivedrone.data.shards import check_cameras, unpacked_bytes
+from cognitivedrone.data.shards import WIDTHS, check_cameras, unpacked_bytes
 from cognitivedrone.errors import DataError, TaskError
 from cognitivedrone.files import check_regular, create, read_regular, reason_of, remove, replacing_folder
 from cognitivedrone.files.locks import LOCK_FILE, holds_files, sole_writer
@@ -27,16 +27,8 @@ MAX_ROWS = 10_000_000
 MAX_UNPACKED_BYTES = 4 * 2**30
 """Of the columns of one file that are read."""
 
-STEP_ARRAYS: dict[str, tuple[type[np.generic], tuple[int, ...]]] = {
-    "action": (np.float32, (4,)),
-    "sent": (np.float32, (4,)),
-    "velocity": (np.float32, (3,)),
-    "height": (np.float32, ()),
-    "yaw_rate": (np.float32, ()),
-    "position": (np.float64, (3,)),
-    "quaternion": (np.float64, (4,)),
-}
-"""Numeric arrays of a step: name in `Episode`, dtype, shape without the step axis."""
+STEP_ARRAYS = tuple(WIDTHS)
+"""Numeric arrays of a step: names in `Episode`."""
 
 
 @contextmanager
@@ -119,8 +111,8 @@ def episode_from(
         for name in ("start_position", "wind"):
             conditions[name] = tuple(float(value) for value in conditions[name])
         shaped = {
-            name: np.ascontiguousarray(arrays[name], dtype).reshape(len(images), *shape)
-            for name, (dtype, shape) in STEP_ARRAYS.items()
+            name: np.ascontiguousarray(arrays[name], dtype).reshape(len(images), *((width,) if width > 1 else ()))
+            for name, (dtype, width) in WIDTHS.items()
         }
         encoding = encoding_of(images, where)
         below = f"{where}, camera that looks down"

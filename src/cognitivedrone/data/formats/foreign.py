@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from cognitivedrone.data.episode import Conditions, Episode
 from cognitivedrone.data.formats.exchange import encoding_of
 from cognitivedrone.errors import DataError, TaskError
+from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.layout import START
 from cognitivedrone.tasks.directives import parse_directive, write_directive
 from cognitivedrone.tasks.published import PublishedType, published_type
@@ -117,14 +118,7 @@ def foreign_episode(
     if not len(images) or len(images) != len(action) or not np.isfinite(action).all():
         raise DataError(f"{where}: has {len(images)} frames and {len(action)} actions; it needs one each, finite")
     yaw = np.concatenate([[0.0], np.cumsum(action[:, 3].astype(np.float64))]) / CONTROL_HZ
-    forward, left = action[:, 0].astype(np.float64), action[:, 1].astype(np.float64)
-    steps = np.column_stack(
-        [
-            forward * np.cos(yaw[:-1]) - left * np.sin(yaw[:-1]),
-            forward * np.sin(yaw[:-1]) + left * np.cos(yaw[:-1]),
-            action[:, 2].astype(np.float64),
-        ]
-    )
+    steps = rotate_yaw(action[:, :3].astype(np.float64), yaw[:-1])
     path = np.vstack([START, START + np.cumsum(steps, axis=0) / CONTROL_HZ])
     if state is None:
         before = np.vstack([np.zeros((1, 4), np.float32), action[:-1]])

@@ -23,7 +23,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
@@ -43,19 +42,22 @@ from cognitivedrone.data.formats.exchange import (
     write_json,
 )
 from cognitivedrone.data.formats.foreign import MISSING, Columns, foreign_episode
-from cognitivedrone.data.formats.lerobot_columns import (
+from cognitivedrone.data.formats.lerobot_files import (
     DOWN_KEY,
     FLOATS,
     IMAGE_KEY,
-    INTEGERS,
     TEXTS,
+    Statistics,
+    VideoWriter,
     cameras_of,
     card,
+    columns_of,
     feature_spec,
+    read_frames,
     schema_of,
+    table_of,
+    task_table,
 )
-from cognitivedrone.data.formats.lerobot_stats import Statistics
-from cognitivedrone.data.formats.lerobot_video import VideoWriter, read_frames
 from cognitivedrone.data.shards import ShardFile, write_shard_file
 from cognitivedrone.errors import DataError
 from cognitivedrone.files import remove, replace_file
@@ -157,9 +159,9 @@ class _Writer:
         number, first = len(self.rows), self._frames
         task_index = self._tasks.setdefault(episode.task.instruction, len(self._tasks))
         record = json.dumps(record_of(split, episode), ensure_ascii=False)
-        columns = _columns(episode, number, first, task_index) | {"record": _first(record, len(episode))}
+        columns = columns_of(episode, number, first, task_index, record)
         stats = self._statistics.add({n: v for n, v in columns.items() if n not in TEXTS}, cameras)
-        place = {"chunk_index": self._file_number // CHUNK_SIZE, "file_index": self._file_number % CHUNK_SIZE}
+        place = self._place()
         row: dict[str, Any] = {
             "episode_index": number,
             "tasks": [episode.task.instruction],
@@ -177,7 +179,7 @@ class _Writer:
             video.add(cameras[key])
         row |= plain_facts(episode) | {"record": record}
         row |= {f"stats/{name}/{what}": v for name, values in stats.items() for what, v in values.items()}
-        parquet.write_table(_table(columns, cameras, parquet.schema))
+        parquet.write_table(table_of(columns, cameras, parquet.schema))
         self._file_bytes += sum(len(image) for images in cameras.values() for image in images)
         self._frames += len(episode)
         self.rows.append(row | {"split": split})
@@ -194,7 +196,7 @@ class _Writer:
         """Write the folder `meta`, after all episodes."""
         (self._folder / EPISODES_PATH).parent.mkdir(parents=True)
         pq.write_table(pa.Table.from_pylist(self.rows), self._folder / EPISODES_PATH)
-        pq.write_table(_task_table(list(self._tasks)), self._folder / "meta/tasks.parquet")
+        pq.write_table(task_table(list(self._tasks)), self._folder / "meta/tasks.parquet")
         write_json(self._folder / "meta/stats.json", self._statistics.total())
         write_json(self._folder / "meta/info.json", self._info())
         replace_file(self._folder / CARD_PATH, card(self._files).encode())
@@ -206,7 +208,7 @@ class _Writer:
         self.close()
         self._file_number += 1
         self._file_bytes = 0
-        place = {"chunk_index": self._file_number // CHUNK_SIZE, "file_index": self._file_number % CHUNK_SIZE}
+        place = self._place()
         path = self._folder / DATA_PATH.format(**place)
         path.parent.mkdir(parents=True, exist_ok=True)
         self._files.setdefault(split, []).append(DATA_PATH.format(**place))
@@ -215,6 +217,9 @@ class _Writer:
         for key in self._cameras if self._is_video else ():
             self._videos[key] = VideoWriter(self._folder / VIDEO_PATH.format(video_key=key, **place))
         return self._parquet
+
+    def _place(self) -> dict[str, int]:
+        return {"chunk_index": self._file_number // CHUNK_SIZE, "file_index": self._file_number % CHUNK_SIZE}
 
     def _info(self) -> dict[str, Any]:
         train = sum(row["split"] == "train" for row in self.rows)
@@ -234,65 +239,6 @@ class _Writer:
             "video_path": VIDEO_PATH if self._is_video else None,
             "features": feature_spec(self._cameras, video=self._is_video),
         }
-
-
-def _columns(episode: Episode, number: int, first: int, task_index: int) -> dict[str, NDArray[Any]]:
-    length = len(episode)
-    facts = plain_facts(episode) | {"episode_index": number, "task_index": task_index}
-    frame = np.arange(length)
-    return {
-        "observation.state": episode.state,
-        **{name: getattr(episode, name) for name in FLOATS if name != "observation.state"},
-        "timestamp": (frame / CONTROL_HZ).astype(np.float32),
-        "frame_index": frame,
-        "index": first + frame,
-        **{name: np.full(length, facts[name]) for name in (*INTEGERS, *TEXTS) if name in facts and name != "index"},
-    }
-
-
-def _first(text: str, length: int) -> NDArray[Any]:
-    """(length,) the text at the first step, nothing at the others."""
-    return np.array([text, *[""] * (length - 1)], dtype=object)
-
-
-def _table(columns: dict[str, NDArray[Any]], cameras: dict[str, tuple[bytes, ...]], schema: pa.Schema) -> pa.Table:
-    arrays = []
-    for field in schema:
-        if field.name in cameras:
-            arrays.append(pa.array([{"bytes": image, "path": None} for image in cameras[field.name]], field.type))
-        elif field.name in FLOATS:
-            values = np.ascontiguousarray(columns[field.name])
-            arrays.append(pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1]))
-        else:
-            arrays.append(pa.array(columns[field.name], field.type))
-    return pa.Table.from_arrays(arrays, schema=schema)
-
-
-def _task_table(tasks: list[str]) -> pa.Table:
-    """tasks.parquet: the sentence is the index of a pandas table, which only the schema's metadata can express."""
-    index = "__index_level_0__"
-    table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), index: pa.array(tasks, pa.string())})
-
-    def column(name: str | None, field: str, kind: str, numpy_kind: str) -> dict[str, Any]:
-        return {
-            "name": name,
-            "field_name": field,
-            "pandas_type": kind,
-            "numpy_type": numpy_kind,
-            "metadata": None,
-        }
-
-    pandas = {
-        "index_columns": [index],
-        "column_indexes": [column(None, "None", "unicode", "object") | {"metadata": {"encoding": "UTF-8"}}],
-        "columns": [
-            column("task_index", "task_index", "int64", "int64"),
-            column(None, index, "unicode", "object"),
-        ],
-        "pandas_version": "2.0.0",
-        "creator": {"library": "pyarrow", "version": pa.__version__},
-    }
-    return table.replace_schema_metadata({"pandas": json.dumps(pandas)})
 
 
 def read(path: Path, *, columns: str = "") -> Iterator[tuple[Split, Episode]]:
@@ -391,7 +337,7 @@ def _read_table(path: Path, columns: Collection[str]) -> pa.Table:
     try:
         check_unpacked_size(pq.read_metadata(path), path, columns)
         return pq.read_table(path, columns=[name for name in pq.read_schema(path).names if name in columns])
-    except (OSError, pa.ArrowException) as error:
+    except (OSError, ValueError, pa.ArrowException) as error:
         raise DataError(f"{path}: not a whole parquet file ({brief(error)}); copy or export it again") from None
 
 

@@ -6,20 +6,19 @@ One pass over the shards checks every record and locates each frame; frames them
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cognitivedrone.data.episode import Split, decode_image
+from cognitivedrone.data.episode import Split
 from cognitivedrone.data.formats.rlds import Record, records
-from cognitivedrone.data.store import Batch
+from cognitivedrone.data.store import Numbers, Steps
 from cognitivedrone.errors import DataError
 from cognitivedrone.files import open_regular
-from cognitivedrone.types import IMAGE_SIZE, Task
+from cognitivedrone.types import Task
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,11 +37,10 @@ class _Flight:
     """(T, 2) offset of each frame in the shard, and its size in bytes."""
 
 
-class RldsSteps:
-    """The steps of an export, numbered as in its original store: episode after episode, by index.
+class RldsSteps(Steps):
+    """The steps of an export, numbered as in its original store."""
 
-    Can be shared between threads. Actions, states and tasks are kept in memory, some hundred bytes per step.
-    """
+    way_out = "export it again"
 
     def __init__(self, path: Path | str) -> None:
         """Open `path`, the folder given to the export or the inner one.
@@ -50,20 +48,23 @@ class RldsSteps:
         Raises `DataError` for a missing, altered or truncated shard, third-party data, and a repeated index.
         """
         self.path = Path(path)
-        digest, flights = hashlib.sha256(), dict[int, _Flight]()
+        digest, found = hashlib.sha256(), dict[int, _Flight]()
         for record in records(self.path):
             digest.update(record.payload)
             flight = _flight_of(record)
-            if flight.index in flights:
+            if flight.index in found:
                 raise DataError(f"{record.shard}: episode {flight.index} appears twice; export it again")
-            flights[flight.index] = flight
-        self._flights = [flights[index] for index in sorted(flights)]
+            found[flight.index] = flight
+        self._flights = flights = [found[index] for index in sorted(found)]
         self._digest = digest.hexdigest()
-        lengths = [len(flight.frames) for flight in self._flights]
-        self._first_steps = np.cumsum([0, *lengths])[:-1]
-        self._rows = np.repeat(np.arange(len(lengths)), lengths)
-        self._action = np.concatenate([np.empty((0, 4), np.float32), *(flight.action for flight in self._flights)])
-        self._state = np.concatenate([np.empty((0, 5), np.float32), *(flight.state for flight in self._flights)])
+        self._splits = [flight.split for flight in flights]
+        self._first_steps = np.cumsum([0, *(len(flight.frames) for flight in flights)])
+        self._kept = Numbers(
+            action=np.concatenate([np.empty((0, 4), np.float32), *(flight.action for flight in flights)]),
+            state=np.concatenate([np.empty((0, 5), np.float32), *(flight.state for flight in flights)]),
+            instructions=[flight.task.instruction for flight in flights],
+            directives=[flight.task.directive for flight in flights],
+        )
 
     def content_hash(self) -> str:
         """Hash of all records: the same for the same export."""
@@ -73,39 +74,22 @@ class RldsSteps:
         """The tasks of all episodes, in order of index."""
         return [flight.task for flight in self._flights]
 
-    def episode_rows(self) -> NDArray[np.int64]:
-        """(n_steps,) the index in `tasks` of each step's episode."""
-        return self._rows
+    @property
+    def _numbers(self) -> Numbers:
+        return self._kept
 
-    def step_numbers(self, split: Split | None = None) -> NDArray[np.int64]:
-        """The step numbers of a split, or of all: the input of `steps`."""
-        wanted = np.array([split in (None, flight.split) for flight in self._flights], np.bool_)
-        return np.flatnonzero(wanted[self._rows]).astype(np.int64)
-
-    def actions(self, split: Split | None = None) -> NDArray[np.float32]:
-        """(N, 4) the labels of all steps of a split, or of all."""
-        return self._action[self.step_numbers(split)]
-
-    def steps(self, numbers: Sequence[int] | NDArray[np.integer[Any]]) -> Batch:
-        """The steps with these numbers in any order, like `Store.steps`.
-
-        Raises `DataError` for a number out of range, and for a broken frame with file, episode and step.
-        """
-        wanted = np.asarray(numbers, np.int64)
-        if wanted.size and not 0 <= wanted.min() <= wanted.max() < len(self._rows):
-            raise DataError(f"{self.path}: a step number lies outside of 0 to {len(self._rows) - 1}")
-        rows = self._rows[wanted]
-        flights = [self._flights[row] for row in rows]
-        images = np.empty((len(wanted), IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
-        for image, flight, step in zip(images, flights, wanted - self._first_steps[rows], strict=True):
-            image[:] = _frame(flight, int(step))
-        return Batch(
-            image=images,
-            state=self._state[wanted],
-            action=self._action[wanted],
-            instruction=[flight.task.instruction for flight in flights],
-            directive=[flight.task.directive for flight in flights],
-        )
+    def _encoded(self, rows: NDArray[np.int64], steps: NDArray[np.int64]) -> Iterator[tuple[bytes, str]]:
+        for row, step in zip(rows.tolist(), steps.tolist(), strict=True):
+            flight = self._flights[row]
+            where = f"{flight.shard}: the frame of episode {flight.index}"
+            first, size = flight.frames[step].tolist()
+            try:
+                with open_regular(flight.shard) as file:
+                    file.seek(first)
+                    data = file.read(size)
+            except OSError as error:
+                raise DataError(f"{where}, step {step}, is broken ({error}); {self.way_out}") from None
+            yield data, where
 
 
 def _flight_of(record: Record) -> _Flight:
@@ -126,19 +110,3 @@ def _flight_of(record: Record) -> _Flight:
         record.shard,
         np.array(frames, np.int64),
     )
-
-
-def _frame(flight: _Flight, step: int) -> NDArray[np.uint8]:
-    """(256, 256, 3)."""
-    first, size = flight.frames[step].tolist()
-    try:
-        with open_regular(flight.shard) as file:
-            file.seek(first)
-            decoded = decode_image(file.read(size))
-        if decoded.shape != (IMAGE_SIZE, IMAGE_SIZE, 3):
-            raise ValueError(f"it is {decoded.shape[1]}x{decoded.shape[0]}, not {IMAGE_SIZE}x{IMAGE_SIZE}")
-    except (OSError, ValueError, SyntaxError) as error:  # Pillow reports broken PNG chunks as SyntaxError
-        raise DataError(
-            f"{flight.shard}: the frame of episode {flight.index}, step {step}, is broken ({error}); export it again"
-        ) from None
-    return decoded

@@ -135,6 +135,13 @@ class Problems:
             self._past.append((problem.labels, problem.target))
         return [problem]
 
+    def take(self, rng: np.random.Generator, count: int) -> list[Problem]:
+        """So many problems."""
+        found: list[Problem] = []
+        while len(found) < count:
+            found += self.draw(rng)
+        return found[:count]
+
     def _worded(self, rng: np.random.Generator) -> list[Problem]:
         problems = self._draw(rng)
         if rng.random() < self.mix.slips:

@@ -24,7 +24,6 @@ from cognitivedrone.tasks.families import symbols
 from cognitivedrone.tasks.families.hard import KINDS
 from cognitivedrone.tasks.generate import NO_SLOTS, TRAIN, Pools, Scene, words
 from cognitivedrone.tasks.people import FEATURES
-from cognitivedrone.training.language.phrasing import SPOKEN
 from cognitivedrone.types import Gate
 
 _TRIES: Final = 6
@@ -218,7 +217,7 @@ def _typed(first: str) -> tuple[str, ...]:
 @functools.lru_cache(maxsize=4096)
 def _phrases(phrases: tuple[str, ...], slots: tuple[tuple[str, str], ...]) -> tuple[str, ...]:
     """All wordings of synonymous phrases; those for the filled slots alone often enough to be a share of `_OWN`."""
-    every = (*SPOKEN.wordings(phrases), *_typed(phrases[0]))
+    every = (*TRAIN.wordings(phrases), *_typed(phrases[0]))
     own = _own(phrases[0], dict(slots)) if slots else ()
     return every + own * round(len(every) * _OWN / (1 - _OWN) / len(own)) if own else every
 
@@ -251,10 +250,10 @@ def _renamed(rng: np.random.Generator, sentence: str, named: re.Pattern[str]) ->
 
 @dataclass(frozen=True, slots=True)
 class Typed(Pools):
-    """The training ingredients in wordings as people type them, in addition to those of `SPOKEN`."""
+    """The training ingredients in wordings as people type them, in addition to the training suite's."""
 
     def wordings(self, phrases: Sequence[str], slots: Mapping[str, str] = NO_SLOTS) -> Sequence[str]:
-        """The phrases of `SPOKEN` among synonymous ones, those of the corpus, and those for the filled slots."""
+        """The training suite's phrases among synonymous ones, the corpus', and those for the filled slots."""
         return _phrases(tuple(phrases), tuple(slots.items()))
 
     def sentences(self, name: str, given: Sequence[str]) -> Sequence[str]:
@@ -308,5 +307,5 @@ def _look(rng: np.random.Generator, gate: Gate, target: Gate) -> str:
 
 
 _SAME = {each.name: getattr(TRAIN, each.name) for each in fields(Pools)}
-TYPED = Typed(**_SAME | {"frames": (*SPOKEN.frames, *map(_later, wordings_of("FRAMES", whole=False)))})
-"""Training ingredients in the wordings of the training suite, of `SPOKEN` and of the corpus."""
+TYPED = Typed(**_SAME | {"frames": (*TRAIN.frames, *map(_later, wordings_of("FRAMES", whole=False)))})
+"""Training ingredients in the wordings of the training suite and of the corpus."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import torch
@@ -16,15 +16,15 @@ from cognitivedrone.data.episode import Split
 from cognitivedrone.data.formats.rlds import is_rlds
 from cognitivedrone.data.formats.rlds_steps import RldsSteps
 from cognitivedrone.data.statistics import spread
-from cognitivedrone.data.store import Batch, Store
+from cognitivedrone.data.store import Steps, Store
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.openvla.actions import ActionStatistics, from_tokens, to_tokens
 from cognitivedrone.models.openvla.config import ACTION_SIZE, PADDING
 from cognitivedrone.models.openvla.network import IGNORED
 from cognitivedrone.models.openvla.prepare import END, Encoder, ImagePreparation, prompt_ids
-from cognitivedrone.training.trainer.run_log import DIMENSIONS
+from cognitivedrone.training.trainer.run_log import by_dimension
 from cognitivedrone.training.trainer.training_task import Row
-from cognitivedrone.types import Category, FloatArray, Task
+from cognitivedrone.types import Category, FloatArray
 
 Numbers: TypeAlias = NDArray[np.int64]
 Samples: TypeAlias = Mapping[str, Tensor]
@@ -32,34 +32,6 @@ Samples: TypeAlias = Mapping[str, Tensor]
 differ in length, `attention_mask` (B, T)."""
 ANSWER = ACTION_SIZE + 1
 """Labelled tokens of a sample: the action tokens and the end."""
-
-
-class Steps(Protocol):
-    """Interface of data sets for training; `Store` and `RldsSteps` implement it."""
-
-    def step_numbers(self, split: Split | None = None) -> Numbers:
-        """The numbers of the steps of a split, or of all."""
-        ...
-
-    def steps(self, numbers: Numbers) -> Batch:
-        """The steps with these numbers, in their order."""
-        ...
-
-    def actions(self, split: Split | None = None) -> NDArray[np.float32]:
-        """(N, 4) the labels of all steps of a split, or of all."""
-        ...
-
-    def tasks(self) -> list[Task]:
-        """The tasks of all episodes, in order of index."""
-        ...
-
-    def episode_rows(self) -> Numbers:
-        """(n_steps,) the index in `tasks` of each step's episode."""
-        ...
-
-    def content_hash(self) -> str:
-        """Content hash."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,16 +138,11 @@ def answer_measures(actions: FloatArray, guess: Numbers, entropy: FloatArray, st
     """
     true = to_tokens(statistics.normalise(actions))
     common = np.array([np.bincount(column).argmax() for column in true.T])
-    values = {
+    tables = {
         "l1": np.abs(statistics.flown(from_tokens(guess)) - actions),
         "accuracy": guess == true,
         "cross-entropy": entropy,
         "baseline accuracy": true == common,
         "baseline l1": np.abs(statistics.flown(from_tokens(common)) - actions),
     }
-    row: Row = {}
-    for name, table in values.items():
-        means = table.mean(axis=0)
-        row |= {f"{name} {dimension}": float(mean) for dimension, mean in zip(DIMENSIONS, means, strict=True)}
-        row[name] = float(means.mean())
-    return row
+    return by_dimension(tables)

@@ -24,7 +24,6 @@ from cognitivedrone.training.perception.attributes import known_person
 from cognitivedrone.training.perception.photographic import Photographic, Shares, background
 from cognitivedrone.training.perception.pictures import PACK, TrainingPictures, restyled
 from cognitivedrone.types import FloatArray, Image
-from cognitivedrone.world.places import load_place, names
 
 SHARES = {
     "attributes": 0.1, "people": 0.05, "math_board": 0.06, "letters": 0.05, "digits": 0.05, "math": 0.01,
@@ -43,8 +42,6 @@ _OTHER_THING, _PART = 0.75, 0.12  # shares of those that show another thing, or 
 _PRINTED = frozenset({"letter", "number", "sum"})
 _SHIFT, _SCALE = 0.06, 0.09  # spread of the crop's position and size
 _ROLL, _SHEAR = 0.13, 0.06  # and of its slant
-_PLACE_PX = 1 / 2  # of a panorama in one pixel of a frame
-_BEHIND = (0.3, 0.6)  # heights in a panorama, from the top, of what is seen behind panels
 
 
 DrawLabel = Callable[[np.random.Generator], str]
@@ -123,13 +120,9 @@ class PanelCrops:
         attributes_of: AttributesOf,
         draw_label: DrawLabel | None = None,
         wider: WiderWorld | None = None,
-        places: float = 0.0,
     ) -> None:
-        """With `wider`, labels are shown by many artists and as photographs do. `places` is the share of crops with a
-        part of a photographed place behind the panel, of those that models are trained in.
-        """
+        """With `wider`, labels are shown by many artists and as photographs do."""
         self._wider = wider
-        self._places = places
         self._labels = load_pack(PACK)
         self._crop_size = crop_size
         self._draw_label = draw_label or draw_any_label
@@ -143,7 +136,7 @@ class PanelCrops:
         for _ in range(round(count * _FRESH)):
             self._add_picture(rng)
         chosen = rng.integers(len(self._kept), size=count)
-        panel_crops = np.stack([panel_image_of(self._kept[i][0], self._crop_size, rng, self._places) for i in chosen])
+        panel_crops = np.stack([panel_image_of(self._kept[i][0], self._crop_size, rng) for i in chosen])
         return panel_crops, np.stack([self._kept[i][1] for i in chosen])
 
     def _add_picture(self, rng: np.random.Generator) -> None:
@@ -186,11 +179,8 @@ def draw_known_label(rng: np.random.Generator) -> str:
     return task.labels[int(rng.integers(3))]
 
 
-def panel_image_of(picture: PillowImage.Image, size: int, rng: np.random.Generator, places: float = 0.0) -> Image:
-    """A panel with this picture as a crop (size, size, 3): random height, background and light.
-
-    The background is plain, or for the share `places` a part of a photographed place.
-    """
+def panel_image_of(picture: PillowImage.Image, size: int, rng: np.random.Generator) -> Image:
+    """A panel with this picture as a crop (size, size, 3): random height, background and light."""
     low, high = np.log(HEIGHTS)
     height = float(np.exp(rng.uniform(low, high)))
     tall = max(4, round(height))
@@ -198,8 +188,6 @@ def panel_image_of(picture: PillowImage.Image, size: int, rng: np.random.Generat
     room = 2 * tall
     wall = (rng.uniform(0.3, 1.0) + rng.normal(0, 0.08, 3)).clip(0, 1) * 255
     canvas = PillowImage.new("RGB", (room, room), tuple(int(value) for value in wall))
-    if places and rng.random() < places:  # a share of zero draws nothing
-        canvas = _part_of_place(room, rng)
     if tall < _SIDE:
         picture = picture.resize((wide, tall), PillowImage.Resampling.BOX)
     else:
@@ -214,19 +202,6 @@ def panel_image_of(picture: PillowImage.Image, size: int, rng: np.random.Generat
     matrix = (a, b, shift_x - (a + b) * half, d, e, shift_y - (d + e) * half)
     seen = canvas.transform((size, size), PillowImage.Transform.AFFINE, matrix, PillowImage.Resampling.BILINEAR)
     return _exposed(np.asarray(seen, dtype=np.float32) / 255, rng)
-
-
-def _part_of_place(side: int, rng: np.random.Generator) -> PillowImage.Image:
-    """A square of so many pixels of a frame, somewhere around the horizon of a place that models are trained in."""
-    among = names("training")
-    place = PillowImage.fromarray(load_place(among[int(rng.integers(len(among)))]).pixels)
-    part = max(2.0, min(side * _PLACE_PX, place.height / 2))
-    left = rng.uniform(0, place.width - part)
-    top = rng.uniform(*_BEHIND) * place.height - part / 2
-    box = (left, max(top, 0.0), left + part, max(top, 0.0) + part)
-    shown = place.resize((side, side), PillowImage.Resampling.BILINEAR, box=box)
-    brightness = rng.uniform(0.7, 1.0)
-    return shown.point([int(level * brightness) for level in range(256)] * 3)
 
 
 def _exposed(pixels: FloatArray, rng: np.random.Generator) -> Image:

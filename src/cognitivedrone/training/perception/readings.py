@@ -2,23 +2,29 @@
 
 A bank of a reader's own answers to crops of panels gives its doubts and errors as they are; without a reader, the
 answers are certain. So what is learnt from described scenes holds for scenes that are seen in flight.
+
+And calibration: temperatures that make a reader's probabilities mean what they say, by pictures never trained.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.models.eyes.panel_reader import Reader, ReaderConfig
+from cognitivedrone.references import parse_reference
 from cognitivedrone.terminal.progress import counted
 from cognitivedrone.training.perception.attributes import AttributeIndex
-from cognitivedrone.training.perception.panel_crops import PanelCrops, WiderWorld
+from cognitivedrone.training.perception.panel_crops import PanelCrops, WiderWorld, draw_any_label
+from cognitivedrone.training.perception.pictures import TrainingPictures
 from cognitivedrone.training.trainer.start import StartingPoint, restore_part
 
 CROPS = 12_000
@@ -27,6 +33,13 @@ KEPT = 24
 """Answers that are kept of an attribute value."""
 KEPT_UNKNOWN = 500
 """Whole answers that are kept of pictures of nothing known: a reader guesses in every group, each time otherwise."""
+
+CALIBRATION_CROPS = 6_000
+"""Panel crops that temperatures are fitted to."""
+_FEWEST = 100  # samples of a group; others keep their temperature
+_TEMPERATURES = np.exp(np.linspace(np.log(0.4), np.log(4.0), 60))
+_SEED = 88
+_DRAWN = frozenset({"animal", "food", "object", "logo"})
 
 Floats = NDArray[np.float32]
 DrawCrops = Callable[[np.random.Generator, int], tuple[NDArray[np.uint8], NDArray[np.int64]]]
@@ -101,19 +114,26 @@ class Readings:
         return weighted
 
 
+def _answers(
+    reader: Reader, draw: DrawCrops, rng: np.random.Generator, batches: Iterable[int]
+) -> Iterator[tuple[Tensor, NDArray[np.int64]]]:
+    """Logits (200, F) of crops, and their attribute values (200, groups)."""
+    reader.eval()
+    for _ in batches:
+        images, attributes = draw(rng, 200)
+        pixels = torch.from_numpy(images).permute(0, 3, 1, 2).float() / 255
+        yield reader(pixels.contiguous(memory_format=torch.channels_last)).float(), attributes
+
+
 @torch.no_grad()
 def read_bank(reader: Reader, index: AttributeIndex, draw: DrawCrops, seed: int = 0) -> Bank:
     """A reader's answers to crops."""
-    rng, reader = np.random.default_rng((seed, 77)), reader.eval()
-    unknown = index.schema.names.index("kind/unknown")
+    unknown, spans = index.schema.names.index("kind/unknown"), index.groups.values()
     found: dict[int, list[NDArray[np.float16]]] = {}
     whole: list[NDArray[np.float16]] = []
     main = os.environ.get("RANK", "0") == "0" and multiprocessing.parent_process() is None
-    for _ in counted(range(CROPS // 200), "reading panels of what is known", CROPS // 200, show=main):
-        images, attributes = draw(rng, 200)
-        pixels = torch.from_numpy(images).permute(0, 3, 1, 2).float() / 255
-        logits = reader(pixels.contiguous(memory_format=torch.channels_last)).float()
-        spans = index.groups.values()
+    batches = counted(range(CROPS // 200), "reading panels of what is known", CROPS // 200, show=main)
+    for logits, attributes in _answers(reader, draw, np.random.default_rng((seed, 77)), batches):
         shares = torch.cat([logits[:, span].softmax(-1) for span in spans], dim=1).numpy().astype(np.float16)
         for column, span in enumerate(spans):
             for row in np.flatnonzero(attributes[:, column] >= 0).tolist():
@@ -134,3 +154,45 @@ def readings_of(
     size = reader.config.crop_size
     panel_crops = PanelCrops(size, index.of, wider=WiderWorld()) if crops is None else crops(size)
     return Readings(index, read_bank(reader, index, panel_crops.draw))
+
+
+def calibrated(reader: Reader, index: AttributeIndex) -> dict[str, float]:
+    """Set the reader's temperatures, group by group; returns those that were found."""
+    logits, attributes = calibration_readings(reader, index)
+    found: dict[str, float] = {}
+    for column, (group, span) in enumerate(index.groups.items()):
+        there = attributes[:, column] >= 0
+        if int(there.sum()) < _FEWEST:
+            continue
+        found[group] = temperature_of(logits[there][:, span], attributes[there, column] - span.start)
+        reader.temperature[span] = found[group]
+    return found
+
+
+def temperature_of(logits: Tensor, target: Tensor) -> float:
+    """The temperature by which logits (n, classes) predict targets (n,) best, in likelihood."""
+    losses = [float(F.cross_entropy(logits / float(value), target)) for value in _TEMPERATURES]
+    return float(_TEMPERATURES[int(np.argmin(losses))])
+
+
+@torch.no_grad()
+def calibration_readings(reader: Reader, index: AttributeIndex) -> tuple[Tensor, Tensor]:
+    """Uncalibrated logits (n, F) of crops of the sets for calibration, and their attribute values (n, groups)."""
+    draw = calibration_crops(reader.config.crop_size, index).draw
+    answers = [*_answers(reader, draw, np.random.default_rng(_SEED), range(-(-CALIBRATION_CROPS // 200)))]
+    logits = torch.cat([logits for logits, _ in answers]) * reader.temperature
+    return logits, torch.from_numpy(np.concatenate([attributes for _, attributes in answers]))
+
+
+def calibration_crops(crop_size: int, index: AttributeIndex) -> PanelCrops:
+    """Panel crops in which things are shown by the sets for calibration alone."""
+    pictures = TrainingPictures(calibration=True)
+
+    def draw_label(rng: np.random.Generator) -> str:
+        while True:
+            label = draw_any_label(rng)
+            shown = parse_reference(label)
+            if shown.kind not in _DRAWN or pictures.references(shown.kind, shown.concept):
+                return label
+
+    return PanelCrops(crop_size, index.of, draw_label, WiderWorld(pictures=pictures, share=1.0))

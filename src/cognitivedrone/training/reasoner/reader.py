@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from typing import Any, ClassVar
@@ -17,9 +17,18 @@ from cognitivedrone.models.eyes.panel_reader import Reader, ReaderConfig
 from cognitivedrone.training.perception.attributes import ATTRIBUTES, AttributeIndex
 from cognitivedrone.training.perception.panel_crops import PanelCrops, WiderWorld
 from cognitivedrone.training.trainer.checkpoint import read_checkpoint, restore, save_checkpoint
-from cognitivedrone.training.trainer.training_task import Batch, Batches, Given, Learner, Recipe, Row, to_tensors
-
-_VALIDATION = 10**6
+from cognitivedrone.training.trainer.training_task import (
+    VALIDATION,
+    Batch,
+    Batches,
+    Given,
+    Recipe,
+    Row,
+    TrainingTask,
+    evaluating,
+    seeded,
+    to_tensors,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,8 +41,6 @@ class ReaderRecipe(Recipe):
     smoothing: float = 0.05
     """Label smoothing: a reader that is never quite certain doubts more where it should."""
     validation_cards: int = 2000
-    places: float = 0.0
-    """Share of crops with a part of a photographed place behind the panel."""
 
     model_file: ClassVar[str] = "reader.safetensors"
 
@@ -44,15 +51,11 @@ class ReaderRecipe(Recipe):
 
 
 @dataclass(frozen=True)
-class ReaderTraining:
+class ReaderTraining(TrainingTask):
     """Training task of the reader."""
 
     recipe: ReaderRecipe
     attributes: tuple[str, ...] = ATTRIBUTES
-
-    def identity(self) -> dict[str, Any]:
-        """The recipe."""
-        return {"recipe": self.recipe.facts()}
 
     def facts(self) -> dict[str, Any]:
         """The attribute values."""
@@ -64,61 +67,41 @@ class ReaderTraining:
         reader.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return reader
 
-    def loss_module(self, network: nn.Module) -> ReaderLoss:
+    def loss_module(self, network: Reader) -> ReaderLoss:
         """The reader with its loss."""
-        assert isinstance(network, Reader)  # noqa: S101  (for the type checker)
         return ReaderLoss(network, AttributeIndex(self.attributes), self.recipe.smoothing)
-
-    def learner(self, network: nn.Module) -> None:
-        """None: a reader does not fly."""
-        del network
-
-    def share(self, processes: int) -> ReaderTraining:
-        """Processes share the panel crops."""
-        return replace(self, recipe=replace(self.recipe, batch=-(-self.recipe.batch // processes)))
 
     def batches(self) -> Batches:
         """Endless panel crops."""
         index, wider = AttributeIndex(self.attributes), WiderWorld()
 
-        def made(seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
-            del learner
-            rng = np.random.default_rng(seed)
-            panel_crops = PanelCrops(self.recipe.network.crop_size, index.of, wider=wider, places=self.recipe.places)
+        def draw(rng: np.random.Generator) -> Iterator[Batch]:
+            panel_crops = PanelCrops(self.recipe.network.crop_size, index.of, wider=wider)
             while True:
                 images, attributes = panel_crops.draw(rng, self.recipe.batch)
                 yield {"crop": images, "attributes": attributes}
 
-        return made
+        return seeded(draw)
 
     def validation(self, seed: int) -> list[Batch]:
         """Panel crops of another seed."""
         count = -(-self.recipe.validation_cards // self.recipe.batch)
-        return list(islice(self.batches()((seed, _VALIDATION)), count))
+        return list(islice(self.batches()((seed, VALIDATION)), count))
 
-    def validate(self, loss_module: nn.Module, batches: list[Batch], autocast: Any) -> Row:
+    def validate(self, loss_module: ReaderLoss, batches: list[Batch], autocast: Any) -> Row:
         """Loss and accuracy, overall and by group."""
-        assert isinstance(loss_module, ReaderLoss)  # noqa: S101
-        device = next(loss_module.parameters()).device
-        loss_module.eval()
         rows: list[dict[str, float]] = []
-        with torch.no_grad(), autocast():
+        with evaluating(loss_module, autocast) as device:
             for batch in batches:
                 tensors = to_tensors(batch, device)
                 _, measures = loss_module(tensors)
                 rows.append({name: float(value) for name, value in measures.items()})
                 rows[-1] |= loss_module.accuracies(loss_module.logits(tensors), tensors["attributes"])
-        loss_module.train()
         return {name: float(np.nanmean([row.get(name, np.nan) for row in rows])) for name in sorted(set().union(*rows))}
-
-    def trial(self, network: nn.Module) -> Row:
-        """Empty: there are no trials beside the curves."""
-        del network
-        return {}
 
     def export(self, checkpoint: Path, folder: Path) -> None:
         """The calibrated reader, with which policies are trained; they hold it in their own files."""
-        from cognitivedrone.training.perception.calibration import calibrated
+        from cognitivedrone.training.perception.readings import calibrated
 
         tensors, facts = read_checkpoint(checkpoint)
         reader = self.network()
@@ -169,5 +152,3 @@ class ReaderLoss(nn.Module):
 
 
 READER = ReaderRecipe(name="reader", steps=8_000, learning_rate=1e-3, decay_share=0.5)
-READER_PLACES = replace(READER, name="reader-places", places=0.4)
-"""The reader of the next pilot: it sees panels before places too."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -20,7 +19,7 @@ from cognitivedrone.models.words.gate_selector import GateSelector, SelectorConf
 from cognitivedrone.models.words.scene_tokens import INPUTS, LENGTHS, PARTS
 from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.training.small_vla.export import provenance_of
-from cognitivedrone.training.small_vla.graph import in_eight_bits, write_onnx
+from cognitivedrone.training.small_vla.graph import in_eight_bits, write_model
 from cognitivedrone.training.trainer.start import StartingPoint, read_start
 from cognitivedrone.training.trainer.training_task import Batch
 
@@ -117,12 +116,9 @@ def write_selector(
     length = torch.export.Dim("length", min=PARTS, max=sum(LENGTHS))
     second = dict.fromkeys(INPUTS, length)
     path = folder / SELECTOR_FILE
-    path.parent.mkdir(parents=True, exist_ok=True)
     table = {"facets": list(names), "pieces": list(pieces), "notes": {}, "network": selector.config.facts()}
-    with replacing(path) as beside:
-        write_onnx(selector, example, ("logits",), beside, second=second, smaller=in_eight_bits)
-        write_table(beside, SELECTOR, {**table, "provenance": asdict(provenance)})
-    GateSelectorModel.load(path)
+    write_model(selector, example, ("logits",), path, SELECTOR, table, provenance, GateSelectorModel.load,
+                second=second, smaller=in_eight_bits)  # fmt: skip
     return path
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from cognitivedrone import checkout
 from cognitivedrone.files import read_regular, replace_file, replacing
@@ -29,11 +30,12 @@ from cognitivedrone.models.words.text_encoder import FILE, packaged_encoder
 from cognitivedrone.policies.expert import ExpertConfig
 from cognitivedrone.training.small_vla.concepts import write_concepts
 from cognitivedrone.training.small_vla.graph import opinions_example, write_encoder, write_onnx, write_reasoner_parts
-from cognitivedrone.training.small_vla.language.described import LanguageLoss, LanguageNetwork
-from cognitivedrone.training.small_vla.sampling import SampleSource, StreamRecipe
+from cognitivedrone.training.small_vla.language import LanguageLoss, LanguageNetwork
+from cognitivedrone.training.small_vla.sampling import StreamRecipe
 from cognitivedrone.training.small_vla.stream import training_batches
 from cognitivedrone.training.trainer.checkpoint import read_checkpoint, restore, save_checkpoint
 from cognitivedrone.training.trainer.start import StartingPoint, read_start
+from cognitivedrone.training.trainer.training_task import Batch, to_tensors
 
 
 def load_trained(path: Path | None) -> tuple[SmallVLA, StartingPoint]:
@@ -162,7 +164,7 @@ def action_statistics(
 ) -> ActionStatistics:
     """The distribution of the actions in a stream or a data set, and the network's output range."""
     recipe = replace(stream, batch=100, sentences=1, learner=0.0)
-    made = training_batches(recipe, SampleSource(encoder), data)(_STATISTICS_SEED)
+    made = training_batches(recipe, encoder, data)(_STATISTICS_SEED)
     taken = list(islice(made, _STATISTICS_FRAMES // recipe.batch))
     actions = np.concatenate([batch["action"][batch["valid"]][:, 0] for batch in taken]).astype(np.float64)
 
@@ -180,7 +182,7 @@ def action_statistics(
     )
 
 
-def export_language(checkpoint: Path, folder: Path, temperature: Callable[[LanguageLoss], float]) -> None:
+def export_language(checkpoint: Path, folder: Path, temperature: Callable[[Callable[[Batch], Tensor]], float]) -> None:
     """Write the text encoder, and the concepts as it reads them, to `folder`; calibrate the language in the checkpoint
     by `temperature`.
     """
@@ -195,7 +197,8 @@ def export_language(checkpoint: Path, folder: Path, temperature: Callable[[Langu
     restore(tensors, network, None)
     schema = AttributeSchema(tuple(facts["attributes"]))
     network.language.temperature.fill_(1.0)
-    network.language.temperature.fill_(temperature(LanguageLoss(network, schema)))
+    loss = LanguageLoss(network, schema).eval()
+    network.language.temperature.fill_(temperature(lambda batch: loss.answers(to_tensors(batch))[1]))
     digest = write_encoder(network.encoder, facts["pieces"], provenance_of(facts), folder)
     write_concepts(folder)
     save_checkpoint(checkpoint, network, None, {**facts, "encoder": digest})

@@ -151,11 +151,10 @@ def write_encoder(encoder: TextEncoder, pieces: list[str], provenance: Provenanc
     example = {name: torch.ones(2, 20, dtype=torch.int64) for name in INPUTS}
     length = torch.export.Dim("length", min=1, max=sum(LENGTHS[:PARTS]))
     table = {"pieces": list(pieces), "digest": digest.hexdigest(), "size": encoder.places.embedding_dim}
-    _write(
-        encoder, example, ("words",), folder / FILE, TEXT_ENCODER, table, provenance,
+    write_model(
+        encoder, example, ("words",), folder / FILE, TEXT_ENCODER, table, provenance, TextEncoderModel.load,
         second=dict.fromkeys(INPUTS, length), smaller=in_eight_bits,
     )  # fmt: skip
-    TextEncoderModel.load(folder / FILE)
     return digest.hexdigest()
 
 
@@ -178,8 +177,8 @@ def write_reasoner_parts(
     sizes = {"facets": list(network.schema.names), "network": network.reader.config.facts()}
     table = {**sizes, "classifier": classifier}
     model = PanelReader(network.finder, network.reader, network.schema)
-    _write(model, example, ("readings", "looks", "boxes"), folder / READER_FILE, READER_KIND, table, provenance)
-    PanelReaderModel.load(folder / READER_FILE)
+    outputs, path = ("readings", "looks", "boxes"), folder / READER_FILE
+    write_model(model, example, outputs, path, READER_KIND, table, provenance, PanelReaderModel.load)
     write_language(network.language, network.schema, encoder, provenance, folder)
 
 
@@ -197,9 +196,8 @@ def write_language(
     }
     length = torch.export.Dim("length", min=1, max=sum(LENGTHS[:PARTS]))
     table = {"facets": list(schema.names), "encoder": encoder}
-    _write(_Answers(language), example, ("logits",), folder / LANGUAGE_FILE, LANGUAGE, table, provenance,
-           second={"words": length})  # fmt: skip
-    LanguageModel.load(folder / LANGUAGE_FILE)
+    write_model(_Answers(language), example, ("logits",), folder / LANGUAGE_FILE, LANGUAGE, table, provenance,
+                LanguageModel.load, second={"words": length})  # fmt: skip
 
 
 class _Answers(nn.Module):
@@ -214,7 +212,7 @@ class _Answers(nn.Module):
         return torch.cat([self.language.match(query[:, None], panels, looks)[:, 0], absent[:, None]], dim=1)
 
 
-def _write(
+def write_model(
     network: nn.Module,
     example: Mapping[str, Tensor],
     outputs: tuple[str, ...],
@@ -222,11 +220,14 @@ def _write(
     kind: str,
     table: Mapping[str, Any],
     provenance: Provenance,
+    load: Callable[[Path], object],
     *,
     second: Mapping[str, Any] | None = None,
     smaller: Callable[[Any], None] | None = None,
 ) -> None:
+    """`write_onnx` with a table of its `kind`; a file that cannot be loaded never replaces the old one."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as beside:
         write_onnx(network, example, outputs, beside, second=second, smaller=smaller)
         write_table(beside, kind, {**table, "provenance": asdict(provenance)})
+        load(beside)

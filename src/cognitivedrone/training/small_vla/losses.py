@@ -15,8 +15,8 @@ from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.models.eyes.finder import CELLS, LOOK_GROUPS, SLOTS, STRIDE, Scene, Seen, Slots, look_probabilities
 from cognitivedrone.models.small_vla import Flight, SmallVLA
-from cognitivedrone.training.trainer.run_log import DIMENSIONS
-from cognitivedrone.training.trainer.training_task import Batch, Row, to_tensors
+from cognitivedrone.training.trainer.run_log import by_dimension
+from cognitivedrone.training.trainer.training_task import Batch, Row, evaluating, to_tensors
 
 _BLUR_BINS = 2.0  # width of the smoothed labels, so that a neighbouring bin is nearly right
 _BOX_SHIFT, _BOX_SCALE = 0.06, 0.08  # noise of the boxes in which panels are read, in heights
@@ -210,11 +210,9 @@ def known_mean(values: Tensor, known: Tensor) -> Tensor:
 def validate(loss_module: SmallVlaLosses, batches: Sequence[Batch], autocast: Any) -> Row:
     """Losses and metrics of a loss module on validation batches; actions toward the gate flown at, if it is in view."""
     network = loss_module.network
-    device = next(network.parameters()).device
-    loss_module.eval()
     sums: dict[str, list[float]] = {}
     raws, targets = [], []
-    with torch.no_grad(), autocast():
+    with evaluating(loss_module, autocast) as device:
         for batch in batches:
             tensors = to_tensors(batch, device)
             _, measures = loss_module(tensors)
@@ -223,7 +221,6 @@ def validate(loss_module: SmallVlaLosses, batches: Sequence[Batch], autocast: An
             raw, target = _flown(network, tensors)
             raws.append(raw.float())
             targets.append(target)
-    loss_module.train()
     return {name: float(np.mean(values)) for name, values in sums.items()} | action_measures(
         network.flight, torch.cat(raws), torch.cat(targets)
     )
@@ -246,27 +243,20 @@ def action_measures(flight: Flight, raw: Tensor, target: Tensor) -> Row:
 
     Actions without tokens has no cross-entropy.
     """
-    config = flight.config
-    error = (flight.decode(raw) - target).abs().mean(dim=(0, 1))
-    row: Row = {f"l1 {name}": float(error[i]) for i, name in enumerate(DIMENSIONS)} | {"l1": float(error.mean())}
-    span = flight.high - flight.low
-    true = ((target - flight.low) / span * (config.bins - 1)).round().clamp(0, config.bins - 1).long()
-    guess = ((flight.decode(raw) - flight.low) / span * (config.bins - 1)).round().long()
-    if config.head == "tokens":
-        guess = raw.argmax(-1)
-        entropy = action_loss(flight, raw, target).mean(dim=(0, 1))
-        row |= {f"cross-entropy {name}": float(entropy[i]) for i, name in enumerate(DIMENSIONS)}
-        row["cross-entropy"] = float(entropy.mean())
-    hits = (guess == true).float().mean(dim=(0, 1))
-    for i, name in enumerate(DIMENSIONS):
-        counts = torch.bincount(true[..., i].flatten(), minlength=config.bins).float()
-        common = int(counts.argmax())
-        place = float(flight.low[i] + common / (config.bins - 1) * span[i])
-        row |= {
-            f"accuracy {name}": float(hits[i]),
-            f"baseline accuracy {name}": float(counts[common] / counts.sum()),
-            f"baseline l1 {name}": float((target[..., i] - place).abs().mean()),
-        }
-    for measure in ("accuracy", "baseline accuracy", "baseline l1"):
-        row[measure] = float(np.mean([row[f"{measure} {name}"] for name in DIMENSIONS]))
-    return row
+    bins, span = flight.config.bins, flight.high - flight.low
+
+    def token(action: Tensor) -> Tensor:
+        return ((action - flight.low) / span * (bins - 1)).round().clamp(0, bins - 1).long()
+
+    true, decoded = token(target), flight.decode(raw)
+    guess = raw.argmax(-1) if flight.config.head == "tokens" else token(decoded)
+    common = torch.stack([torch.bincount(column, minlength=bins).argmax() for column in true.flatten(0, -2).T])
+    tables = {
+        "l1": (decoded - target).abs(),
+        "accuracy": guess == true,
+        "baseline accuracy": true == common,
+        "baseline l1": (flight.low + common / (bins - 1) * span - target).abs(),
+    }
+    if flight.config.head == "tokens":
+        tables["cross-entropy"] = action_loss(flight, raw, target)
+    return by_dimension(tables)

@@ -8,17 +8,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
 
 from cognitivedrone.data.store import Store
 from cognitivedrone.envs.track_runner import TrackConfig
 from cognitivedrone.envs.worlds import Worlds
-from cognitivedrone.errors import TrainingError
 from cognitivedrone.labels import load_pack
 from cognitivedrone.models.eyes.panel_reader import ReaderConfig
 from cognitivedrone.models.small_vla import SmallVLA, SmallVLAConfig
@@ -29,10 +27,19 @@ from cognitivedrone.training.perception.attributes import ATTRIBUTES, AttributeI
 from cognitivedrone.training.perception.ground_truth import Poses
 from cognitivedrone.training.small_vla.export import trained
 from cognitivedrone.training.small_vla.losses import LossWeights, SmallVlaLosses, validate
-from cognitivedrone.training.small_vla.sampling import SampleSource, StreamRecipe
+from cognitivedrone.training.small_vla.sampling import StreamRecipe
 from cognitivedrone.training.small_vla.stream import training_batches
 from cognitivedrone.training.trainer.start import StartingPoint, read_start, restore_part
-from cognitivedrone.training.trainer.training_task import Batch, Batches, Given, Recipe, Row, trains_in_bf16
+from cognitivedrone.training.trainer.training_task import (
+    VALIDATION,
+    Batch,
+    Batches,
+    Given,
+    Recipe,
+    Row,
+    TrainingTask,
+    trains_in_bf16,
+)
 from cognitivedrone.types import FloatArray, Image, StageResult
 
 
@@ -77,9 +84,6 @@ def fly_suite(pilot: NetworkPilot, suite: Suite, config: TrackConfig, seed: int 
         return [result for runner in worlds.runners for result in runner.results]
 
 
-_VALIDATION = 10**6  # rank of the generator of validation frames: no training process has it
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainRecipe(Recipe):
     """Everything that determines a training run of the small VLA, except processes and seed."""
@@ -112,7 +116,7 @@ class TrainRecipe(Recipe):
 
 
 @dataclass(frozen=True)
-class PolicyTraining:
+class PolicyTraining(TrainingTask):
     """A small VLA that learns from flights made during training, or from a data set."""
 
     recipe: TrainRecipe
@@ -132,7 +136,7 @@ class PolicyTraining:
         """Recipe, the start's origin, and the data set's hash."""
         origins = [] if self.start is None else [self.start.origin]
         origins += [f"store {Store(self.data).content_hash()}"] if self.data else []
-        return {"recipe": self.recipe.facts()} | ({"data": ", ".join(origins)} if origins else {})
+        return super().identity() | ({"data": ", ".join(origins)} if origins else {})
 
     def facts(self) -> dict[str, Any]:
         """Attribute values, and the digest of the text encoder."""
@@ -148,58 +152,40 @@ class PolicyTraining:
         network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return network
 
-    def loss_module(self, network: nn.Module) -> SmallVlaLosses:
+    def loss_module(self, network: SmallVLA) -> SmallVlaLosses:
         """The network with the recipe's loss weights."""
-        assert isinstance(network, SmallVLA)  # noqa: S101  (for the type checker)
         return SmallVlaLosses(network, self.recipe.losses)
 
-    def learner(self, network: nn.Module) -> NetworkPilot | None:
+    def learner(self, network: SmallVLA) -> NetworkPilot | None:
         """A batched policy, if flights are made and the recipe lets the network fly some."""
-        return self._pilot(network) if self.data is None and self.recipe.stream.learner > 0 else None
-
-    def share(self, processes: int) -> Self:
-        """Processes share the frames."""
-        stream = self.recipe.stream
-        if stream.batch % processes:
-            raise TrainingError(f"a batch of {stream.batch} frames cannot be shared by {processes} processes")
-        part = replace(stream, batch=stream.batch // processes)
-        return replace(self, recipe=replace(self.recipe, stream=part))
+        return NetworkPilot(network, self.encoder) if self.data is None and self.recipe.stream.learner > 0 else None
 
     def batches(self) -> Batches:
         """Batches of the training split."""
-        return training_batches(self.recipe.stream, self.source(), self.data)
+        return training_batches(self.recipe.stream, self.encoder, self.data)
 
     def validation(self, seed: int) -> list[Batch]:
         """Few frames per flight, so that they cover many scenes; for a data set, its validation split."""
         count = self.recipe.validation_frames
         stream = replace(self.recipe.stream, batch=min(32, count), learner=0.0, sampled=0.05)
-        made = training_batches(stream, self.source(), self.data, validation=True)
-        return list(islice(made((seed, _VALIDATION)), max(1, count // stream.batch)))
+        made = training_batches(stream, self.encoder, self.data, validation=True)
+        return list(islice(made((seed, VALIDATION)), max(1, count // stream.batch)))
 
-    def validate(self, loss_module: nn.Module, batches: list[Batch], autocast: Any) -> Row:
+    def validate(self, loss_module: SmallVlaLosses, batches: list[Batch], autocast: Any) -> Row:
         """Metrics as in the literature on OpenVLA."""
-        assert isinstance(loss_module, SmallVlaLosses)  # noqa: S101
         return validate(loss_module, batches, autocast)
 
-    def trial(self, network: nn.Module) -> Row:
+    def trial(self, network: SmallVLA) -> Row:
         """Success in closed loop on training tasks under another seed, by family."""
         racing = self.recipe.stream.suite == "race"
         count = max(1, self.recipe.fly_tasks // 5) if racing else self.recipe.fly_tasks
-        return trial(self._pilot(network), "open-v1:race" if racing else "open-v1:train", count)
+        return trial(NetworkPilot(network, self.encoder), "open-v1:race" if racing else "open-v1:train", count)
 
     def export(self, checkpoint: Path, folder: Path) -> None:
         """The ONNX file that flies; and, of a policy that reads, panel reader and language for a reasoner."""
         from cognitivedrone.training.small_vla.export import export  # processes that make batches do without ONNX
 
         export(checkpoint, folder / self.recipe.model_file, data=self.data, encoder=self.encoder)
-
-    def source(self) -> SampleSource:
-        """What samples are made with."""
-        return SampleSource(self.encoder)
-
-    def _pilot(self, network: nn.Module) -> NetworkPilot:
-        assert isinstance(network, SmallVLA)  # noqa: S101
-        return NetworkPilot(network, self.encoder)
 
 
 def trial(pilot: NetworkPilot, suite: str, count: int) -> Row:

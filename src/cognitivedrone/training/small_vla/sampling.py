@@ -82,20 +82,13 @@ class Setting:
         self.looks = np.stack([gate_looks(gate) for gate in stage.gates])
 
 
-@dataclass(frozen=True, slots=True)
-class SampleSource:
-    """What samples are made with, beside a recipe. Generating processes get a copy."""
-
-    encoder: Path | None
-    """File of the text encoder; None for a policy that reads no sentences."""
-
-
 class Sampler:
     """Makes samples by a recipe."""
 
-    def __init__(self, recipe: StreamRecipe, source: SampleSource) -> None:
+    def __init__(self, recipe: StreamRecipe, encoder: Path | None) -> None:
+        """`encoder` is the file of the text encoder; None for a policy that reads no sentences."""
         self.recipe = recipe
-        self._encoder = None if source.encoder is None else TextEncoderModel.load(source.encoder)
+        self._encoder = None if encoder is None else TextEncoderModel.load(encoder)
 
     def sample(self, rng: np.random.Generator, poses: Poses, flights: Sequence[Setting], frames: Image) -> Batch:
         """The samples of n frames (n, 256, 256, 3), one flight each: the fields of `Batch`."""

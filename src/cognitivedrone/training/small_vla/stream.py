@@ -11,10 +11,9 @@ machine of a kind.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +33,7 @@ from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.families.racing import crowded_task, race_task
 from cognitivedrone.tasks.validate import right_gate
 from cognitivedrone.training.perception.ground_truth import Poses
-from cognitivedrone.training.small_vla.sampling import Sampler, SampleSource, Setting, StreamRecipe
+from cognitivedrone.training.small_vla.sampling import Sampler, Setting, StreamRecipe
 from cognitivedrone.training.trainer.training_task import Batch, Batches, Filling, Learner
 from cognitivedrone.types import Commands, FloatArray, Image, Stage, Task
 from cognitivedrone.world import geometry
@@ -56,22 +55,10 @@ class StreamFlight(Setting):
         self.wrong = np.zeros(4)
 
 
-class FrameSampler(Protocol):
-    """Makes samples of frames, such as a `Sampler`."""
-
-    def askable(self, task: Task) -> tuple[int, ...]:
-        """The gates that flights may be flown at."""
-        ...
-
-    def sample(self, rng: np.random.Generator, poses: Poses, flights: Sequence[Setting], frames: Image) -> Batch:
-        """The samples of n frames (n, 256, 256, 3), one flight each; among them `flown`."""
-        ...
-
-
 class RolloutStream:
     """Worlds with training flights."""
 
-    def __init__(self, recipe: StreamRecipe, sampler: FrameSampler) -> None:
+    def __init__(self, recipe: StreamRecipe, sampler: Sampler) -> None:
         self.recipe = recipe
         self._sampler = sampler
         self._worlds = Worlds(recipe.worlds, load_pack(), _HOPELESS)
@@ -202,9 +189,9 @@ class RolloutStream:
 class Recorded:
     """The steps of a split of a data set, as batches in random order."""
 
-    def __init__(self, folder: Path, recipe: StreamRecipe, source: SampleSource, split: Split = "train") -> None:
+    def __init__(self, folder: Path, recipe: StreamRecipe, encoder: Path | None, split: Split = "train") -> None:
         self._recipe, self._split = recipe, split
-        self._sampler = Sampler(recipe, source)
+        self._sampler = Sampler(recipe, encoder)
         self._store = Store(folder)
         self._steps = self._store.step_numbers(split)
         if not len(self._steps):
@@ -250,9 +237,9 @@ class Recorded:
 
 
 def training_batches(
-    stream: StreamRecipe, source: SampleSource, data: Path | None, *, validation: bool = False
+    stream: StreamRecipe, encoder: Path | None, data: Path | None, *, validation: bool = False
 ) -> Batches:
     """Batches from a split of a data set or, without one, from flights made during training, split by seed."""
     if data is None:
-        return RolloutStream(stream, Sampler(stream, source))
-    return Recorded(data, stream, source, "val" if validation else "train").batches
+        return RolloutStream(stream, Sampler(stream, encoder))
+    return Recorded(data, stream, encoder, "val" if validation else "train").batches

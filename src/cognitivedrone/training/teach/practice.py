@@ -80,18 +80,19 @@ def varied(picture: PillowImage.Image, rng: np.random.Generator, *, mirror: bool
     return picture
 
 
-class LessonProblems:
+class LessonProblems(Problems):
     """Problems about a lesson, and those known before."""
 
     def __init__(self, lesson: Lesson, known: Problems, share: float) -> None:
-        self._lesson, self._known, self._share = lesson, known, share
+        super().__init__(known.mix)
+        self._lesson, self._share = lesson, share
         self._named = [each for each in lesson.statements if each.by_name]
         self._other = [each for each in lesson.statements if not each.by_name]
 
     def draw(self, rng: np.random.Generator) -> list[Problem]:
         """One problem, or all problems of a memory track."""
         if rng.random() >= self._share:
-            return self._known.draw(rng)
+            return super().draw(rng)
         chance = rng.random()
         tasks = self._lesson.tasks
         if tasks and chance < _FROM_TASKS:

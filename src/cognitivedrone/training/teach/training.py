@@ -21,17 +21,28 @@ from cognitivedrone.models.small_vla import SmallVLA
 from cognitivedrone.models.words.text_encoder import TextEncoderModel, encoder_of, packed
 from cognitivedrone.terminal import console
 from cognitivedrone.training.language.problems import Problem, Problems
+from cognitivedrone.training.language.text_training import TextMix
 from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.training.perception.readings import Readings, readings_of
 from cognitivedrone.training.reasoner.reader import ReaderLoss
 from cognitivedrone.training.reasoner.selector_files import packaged_selector
 from cognitivedrone.training.small_vla.export import trained
-from cognitivedrone.training.small_vla.language import spoken
-from cognitivedrone.training.small_vla.language.described import TextMix, scenes, text_loss
+from cognitivedrone.training.small_vla.language import scenes, spoken, text_loss
 from cognitivedrone.training.teach.lesson import Lesson, read_lesson
 from cognitivedrone.training.teach.practice import LessonCrops, LessonProblems
 from cognitivedrone.training.trainer.start import StartingPoint, read_start
-from cognitivedrone.training.trainer.training_task import Batch, Batches, Given, Learner, Recipe, Row, to_tensors
+from cognitivedrone.training.trainer.training_task import (
+    VALIDATION,
+    Batch,
+    Batches,
+    Given,
+    Recipe,
+    Row,
+    TrainingTask,
+    evaluating,
+    seeded,
+    to_tensors,
+)
 
 _UNSEEN_BIAS = -4.0  # a new concept begins as an unlikely one
 
@@ -79,7 +90,6 @@ def _move(before: nn.Module, after: nn.Module, moved: Sequence[str], rows: Tenso
     after.load_state_dict(state)
 
 
-_VALIDATION = 10**6
 _POOL, _REPEATS = 16, 4  # batches whose sentences are encoded at once, and how often each sentence is used
 _TOGETHER = 64
 
@@ -146,7 +156,7 @@ def pilot_of(start: Path | None) -> tuple[StartingPoint, Path]:
 
 
 @dataclass(frozen=True)
-class TeachTraining:
+class TeachTraining(TrainingTask):
     """A pilot and a lesson."""
 
     recipe: TeachRecipe
@@ -165,10 +175,7 @@ class TeachTraining:
 
     def identity(self) -> dict[str, Any]:
         """Recipe, lesson and start."""
-        return {
-            "recipe": self.recipe.facts(),
-            "data": f"lesson {self.lesson.digest}, {self.policy.origin}",
-        }
+        return super().identity() | {"data": f"lesson {self.lesson.digest}, {self.policy.origin}"}
 
     def facts(self) -> dict[str, Any]:
         """The attribute values."""
@@ -182,59 +189,36 @@ class TeachTraining:
         policy.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         return policy
 
-    def loss_module(self, network: nn.Module) -> TeachLoss:
+    def loss_module(self, network: SmallVLA) -> TeachLoss:
         """The policy with its losses."""
-        assert isinstance(network, SmallVLA)  # noqa: S101  (for the type checker)
         return TeachLoss(network, AttributeIndex(self.names))
-
-    def learner(self, network: nn.Module) -> None:
-        """None: nothing flies."""
-        del network
-
-    def share(self, processes: int) -> TeachTraining:
-        """Processes share crops and sentences."""
-        return replace(self, recipe=replace(self.recipe, batch=-(-self.recipe.batch // processes)))
 
     def batches(self) -> Batches:
         """Endless crops and sentences."""
-        makers = self._makers()
+        makers = _Makers(self)
 
-        def made(seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
-            del learner
-            rng = np.random.default_rng(seed)
+        def draw(rng: np.random.Generator) -> Iterator[Batch]:
             problems = LessonProblems(self.lesson, Problems(self.recipe.mix.problems), self.recipe.share)
             while True:
                 pool = makers.pool(rng, problems, _POOL * self.recipe.batch)
                 for _ in range(_REPEATS * _POOL):
                     yield makers.batch(rng, pool, self.recipe.batch, self.recipe.share)
 
-        return made
+        return seeded(draw)
 
     def validation(self, seed: int) -> list[Batch]:
         """Pictures and problems of the lesson alone, of another seed."""
-        rng, makers = np.random.default_rng((seed, _VALIDATION)), self._makers()
+        rng, makers = np.random.default_rng((seed, VALIDATION)), _Makers(self)
         problems = LessonProblems(self.lesson, Problems(self.recipe.mix.problems), 1.0)
         count = -(-self.recipe.validation_problems // self.recipe.batch)
         pool = makers.pool(rng, problems, self.recipe.validation_problems)
         return [makers.batch(rng, pool, self.recipe.batch, 1.0) for _ in range(count)]
 
-    def validate(self, loss_module: nn.Module, batches: list[Batch], autocast: Any) -> Row:
+    def validate(self, loss_module: TeachLoss, batches: list[Batch], autocast: Any) -> Row:
         """How much of the lesson is understood: pictures read, and problems solved."""
-        assert isinstance(loss_module, TeachLoss)  # noqa: S101
-        device = next(loss_module.parameters()).device
-        loss_module.eval()
-        rows = []
-        with torch.no_grad(), autocast():
-            for batch in batches:
-                _, measures = loss_module(to_tensors(batch, device))
-                rows.append({name: float(value) for name, value in measures.items()})
-        loss_module.train()
-        return {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
-
-    def trial(self, network: nn.Module) -> Row:
-        """Empty: there are no trials beside the curves."""
-        del network
-        return {}
+        with evaluating(loss_module, autocast) as device:
+            rows = [loss_module(to_tensors(batch, device))[1] for batch in batches]
+        return {name: float(np.mean([float(row[name]) for row in rows])) for name in rows[0]}
 
     def export(self, checkpoint: Path, folder: Path) -> None:
         """The files of policy, panel reader and gate selector."""
@@ -257,9 +241,6 @@ class TeachTraining:
         write_reasoner_parts(policy, encoder, provenance, folder, classifier=False)
         write_taught_selector(self.selector, self.names, self.lesson.notes(), folder)
 
-    def _makers(self) -> _Makers:
-        return _Makers(self)
-
 
 class _Makers:
     """Everything that batches are made with."""
@@ -275,7 +256,7 @@ class _Makers:
 
     def pool(self, rng: np.random.Generator, problems: LessonProblems, count: int) -> list[_Encoded]:
         """So many problems, their sentences encoded, those of similar lengths together."""
-        drawn = sorted(_taken(rng, problems, count), key=lambda problem: len(problem.sentence))
+        drawn = sorted(problems.take(rng, count), key=lambda problem: len(problem.sentence))
         parts = (drawn[first : first + _TOGETHER] for first in range(0, count, _TOGETHER))
         return [
             (problem, words)
@@ -289,13 +270,6 @@ class _Makers:
         chosen = [pool[number] for number in rng.integers(len(pool), size=count).tolist()]
         text = scenes(rng, [problem for problem, _ in chosen], self._readings, self.training.recipe.mix)
         return {"crop": images, "attributes": attributes, "words": packed([words for _, words in chosen]), **text}
-
-
-def _taken(rng: np.random.Generator, problems: LessonProblems, count: int) -> list[Problem]:
-    found: list[Problem] = []
-    while len(found) < count:
-        found += problems.draw(rng)
-    return found[:count]
 
 
 class TeachLoss(nn.Module):

@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
 from torch.utils.tensorboard import SummaryWriter
 
 from cognitivedrone.files import read_regular, replace_file
@@ -25,6 +27,16 @@ BOARD = "tensorboard"
 MAX_METRICS_BYTES = 256 * 2**20
 DIMENSIONS = ("vx", "vy", "vz", "yaw_rate")
 """Of an action, as measures name them."""
+
+
+def by_dimension(tables: Mapping[str, ArrayLike | Tensor]) -> Row:
+    """Means of measures (..., 4), by dimension and overall."""
+    row: Row = {}
+    for name, table in tables.items():
+        means = torch.as_tensor(table).double().reshape(-1, len(DIMENSIONS)).mean(0)
+        row |= {f"{name} {dimension}": float(mean) for dimension, mean in zip(DIMENSIONS, means, strict=True)}
+        row[name] = float(means.mean())
+    return row
 
 
 class RunLog:

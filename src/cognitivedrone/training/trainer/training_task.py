@@ -7,6 +7,7 @@ import json
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Final, Protocol, Self, TypeAlias, runtime_checkable
@@ -27,6 +28,8 @@ image (B, 256, 256, 3) uint8; state (B, 5); the fields of `Truths`; looks (B, 3,
 gate flown at; words (B, K, L, W) encoded sentences, asked (B, K) the gate asked for, choice (B, K) the same, or 3 if it
 is not in view. Of sentences without a frame: the fields of `described`.
 """
+VALIDATION: Final = 10**6
+"""Rank of the generator of validation data: no training process has it."""
 Row = dict[str, Any]
 """Measures by name: one point of the learning curves."""
 
@@ -129,67 +132,84 @@ class Watched(Protocol):
         ...
 
 
-class LossModule(Protocol):
-    """A network with its losses; a `torch.nn.Module`."""
-
-    network: nn.Module
-
-    def __call__(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict[str, Tensor]]:
-        """The loss, and detached losses and measures by name."""
-        ...
-
-
-class TrainingTask(Protocol):
+class TrainingTask(ABC):
     """A training task. Generating processes get a copy, so it is small and can be pickled."""
 
-    @property
-    def recipe(self) -> Schedule:
-        """The recipe: duration, learning rate, and everything else that determines the result."""
-        ...
+    recipe: Recipe
+    """Duration, learning rate, and everything else that determines the result."""
 
     def identity(self) -> dict[str, Any]:
         """The identity of a training run, as plain JSON values: `resume` requires an equal one."""
-        ...
+        return {"recipe": self.recipe.facts()}
 
     def facts(self) -> dict[str, Any]:
         """Further facts for the checkpoint, as plain JSON values."""
-        ...
+        return {}
 
+    @abstractmethod
     def network(self) -> nn.Module:
-        """A new network, with random weights."""
-        ...
+        """A new network."""
 
-    def loss_module(self, network: nn.Module) -> nn.Module:
-        """The network with its losses: a `LossModule`."""
-        ...
+    @abstractmethod
+    def loss_module(self, network: Any) -> nn.Module:
+        """The network, as `network`, with its losses: from a batch of tensors to the loss, and detached losses and
+        measures by name.
+        """
 
-    def learner(self, network: nn.Module) -> Learner | None:
+    def learner(self, network: Any) -> Learner | None:  # noqa: ARG002
         """The network, with weights that are set later, as the policy under training; `None` if none flies."""
-        ...
+        return None
 
     def share(self, processes: int) -> Self:
         """The share of one of several processes, which together make the batches. Raises `TrainingError`."""
-        ...
+        recipe: Any = self.recipe
+        if hasattr(recipe, "batch"):
+            part = {"batch": -(-recipe.batch // processes)}
+        else:
+            size = recipe.stream.batch
+            if size % processes:
+                raise TrainingError(f"a batch of {size} frames cannot be shared by {processes} processes")
+            part = {"stream": replace(recipe.stream, batch=size // processes)}
+        return replace(self, recipe=replace(recipe, **part))  # type: ignore[type-var]
 
+    @abstractmethod
     def batches(self) -> Batches:
         """The source of training batches; opens simulators and files."""
-        ...
 
+    @abstractmethod
     def validation(self, seed: int) -> list[Batch]:
         """Batches that are never used for training."""
-        ...
 
-    def validate(self, loss_module: nn.Module, batches: list[Batch], autocast: Any) -> Row:
+    @abstractmethod
+    def validate(self, loss_module: Any, batches: list[Batch], autocast: Any) -> Row:
         """A point of the learning curves."""
-        ...
 
-    def trial(self, network: nn.Module) -> Row:
-        """Performance of the network, in closed loop or alone; rows with "success"."""
-        ...
+    def trial(self, network: Any) -> Row:  # noqa: ARG002
+        """Performance of the network, in closed loop or alone: rows with "success"; empty where the curves say all."""
+        return {}
 
+    @abstractmethod
     def export(self, checkpoint: Path, folder: Path) -> None:
         """Write the recipe's `model_file` into a folder. Raises `TrainingError` for a bad checkpoint."""
-        ...
+
+
+def seeded(draw: Callable[[np.random.Generator], Iterator[Batch]]) -> Batches:
+    """Batches that no policy has a part in, drawn from a generator of the seed."""
+
+    def made(seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
+        del learner
+        return draw(np.random.default_rng(seed))
+
+    return made
+
+
+@contextmanager
+def evaluating(loss_module: nn.Module, autocast: Callable[[], Any]) -> Iterator[torch.device]:
+    """Inside this context it does not learn, and computes as in training; yields its device."""
+    loss_module.eval()
+    with torch.no_grad(), autocast():
+        yield next(loss_module.parameters()).device
+    loss_module.train()
 
 
 def to_tensors(batch: Batch, device: torch.device | str = "cpu") -> dict[str, Tensor]:

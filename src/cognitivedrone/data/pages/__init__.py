@@ -1,1 +1,0 @@
-"""What a data set shows of itself: its card, its pages."""
