@@ -113,3 +113,15 @@ def test_a_task_of_another_language_is_not_flown(tmp_path):
     with pytest.raises(NotUnderstood, match="'飞过有猫的门' has no word that the pilot knows; the pilot knows English"):
         flown(tasks=file, episode=0, out=tmp_path / "f")
     assert not (tmp_path / "f").exists()
+
+
+@pytest.mark.parametrize(
+    ("sentence", "looks"),
+    [
+        ("a non-red gate", {"red"}), ("the dog, not the red one", {"red"}), ("any gate but blue", {"blue"}),
+        ("through a gate that's neither red nor round", {"red", "round"}), ("nicht das rote Tor", {"red"}),
+        ("the dog that is not red", set()), ("the woman without a red hat", set()), ("the red gate", set()),
+    ],
+)  # fmt: skip
+def test_looks_that_a_sentence_denies_are_those_of_gates_alone(sentence, looks):
+    assert Evidence(Understanding()).refused_looks(sentence) == looks

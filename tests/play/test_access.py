@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import threading
 import webbrowser
@@ -11,6 +12,7 @@ import PIL.Image
 import pytest
 from tests.play.test_page import PAGE, Recorded, ask, live, port_of
 
+from cognitivedrone.cli import main
 from cognitivedrone.errors import TaskError
 from cognitivedrone.play import app as play_app
 from cognitivedrone.play.access import Guarded
@@ -127,3 +129,10 @@ def test_pictures_that_come_at_the_same_time_get_names_of_their_own(tmp_path):
         assert len({picture.reference for picture in studio._pictures}) == 3
     finally:
         studio.board.close()
+
+
+def test_the_printed_address_opens_the_page_also_from_a_file(monkeypatch, capsys):
+    monkeypatch.setattr(play_app, "play", lambda _, ready: ready("http://127.0.0.1:8090/?token=abc"))
+    with contextlib.suppress(SystemExit):
+        main(["play"])
+    assert "http://127.0.0.1:8090/?token=abc" in capsys.readouterr().out

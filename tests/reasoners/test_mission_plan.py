@@ -144,3 +144,12 @@ def test_the_plan_is_asked_for_once_and_other_sentences_are_cut_by_their_words(s
     assert plans(MISSION) == plans(MISSION) == GOALS
     assert [goal.instruction for goal in plans("first the dog, then land")] == ["Fly to the dog", "Land on the pad"]
     assert len(script.bodies) == 1
+
+
+def test_what_a_plan_cannot_say_is_taken_from_the_words(script, vlm):
+    script.replies = [(200, chat(plan(fly("Fly to the cat"), fly("Fly to the bus"))))]
+    said = "first the cat, then the bus, never through the dog, no round gates"
+    assert [goal.avoid for goal in plans_with(vlm, said)(said)] == [{"Fly to the dog", "round"}] * 2
+    said = "if there is a dog fly to it, otherwise land"
+    assert [goal.otherwise for goal in plans_with(vlm, said)(said)] == ["Land on the pad"]
+    assert len(script.bodies) == 1

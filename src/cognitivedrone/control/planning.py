@@ -9,7 +9,7 @@ from cognitivedrone.control.async_reasoner import asking
 from cognitivedrone.control.calls import NO_WATCH, Watch
 from cognitivedrone.errors import ReasonerError
 from cognitivedrone.interfaces import Reasoner
-from cognitivedrone.tasks.missions import forbidden, problem_of, read, sub_goals
+from cognitivedrone.tasks.missions import forbidden, lands, problem_of, read, sub_goals
 from cognitivedrone.types import COLORS, SubGoal
 
 Plans = Callable[[str], tuple[SubGoal, ...]]
@@ -19,14 +19,13 @@ Plans = Callable[[str], tuple[SubGoal, ...]]
 def plans_with(reasoner: Reasoner | None, mission: str, watch: Watch = NO_WATCH) -> Plans:
     """The plan of `mission`, made now by a reasoner that plans, and of any other sentence read by its words.
 
-    A plan of its own must keep to what the words forbid, and to their landing; a condition, which a plan cannot hold,
-    is left to the words. Raises `ReasonerError` if there is no plan that can be flown.
+    A plan of its own must keep to what the words forbid, and to their landing; a condition or a landing in a branch,
+    which a plan cannot hold, is left to the words. Raises `ReasonerError` if there is no plan that can be flown.
     """
     words = read(mission)
     judged = reasoner is not None and not reasoner.needs_ground_truth
-    own = (
-        None if reasoner is None or any(goal.condition for goal in words.goals) else _plan_of(reasoner, mission, watch)
-    )
+    kept = any(goal.condition or lands(goal.otherwise)[0] for goal in words.goals)
+    own = None if reasoner is None or kept else _plan_of(reasoner, mission, watch)
     if judged and own is None and words.problem:
         raise ReasonerError("schema", f"the mission {words.problem}")
     if own is not None and not words.problem:

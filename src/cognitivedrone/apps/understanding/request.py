@@ -190,7 +190,10 @@ class Understanding:
         features, name, telling = persons.described(words, sentence)
         lacks = persons.described(["person", *refused_words], "")[0] if features or _PEOPLE & set(words) else ()
         true, wrong, used = together([*(each for each in facts if says_more(each, named)), *named, *facts])
-        if looks and (true or _PEOPLE & set(words)) and not _of_gate(refused_words):  # of the thing, not of a gate
+        worn = any(
+            not any(parse_directive(word)) and word not in {"nor", *_SMALL_TALK, *_ARTICLES} for word in refused_words
+        )
+        if looks and (true or worn or _PEOPLE & set(words)) and not _of_gate(refused_words):  # of the thing, no gate
             denied |= {label for look in looks if true for label in lexicon.colored(look)}
             looks = frozenset()
         if (named and not _of_gate(words)) or features or lacks:
