@@ -192,7 +192,7 @@ def test_of_a_condition_the_other_thing_is_flown_to_where_it_does_not_hold(tmp_p
 @pytest.mark.parametrize(
     ("sentence", "flown"),
     [
-        ("if there is a bus fly to it, otherwise land", None), ("if there is a koala land, else the crab", None),
+        ("if there is a zebra fly to it, otherwise land", None), ("if there is a koala land, else the crab", None),
         ("if there is a zebra land, otherwise the crab", "crab"), ("s'il y a un koala, vas-y, sinon atterris", "koala"),
         ("wenn es einen Koala gibt, nimm die Krabbe, sonst den Schmetterling", "crab"),
         ("the animal, never through the koala", "crab butterfly"), ("an animal, never through square gates", "crab"),

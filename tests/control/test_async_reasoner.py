@@ -207,15 +207,16 @@ def test_of_a_condition_what_holds_decides_which_thing_is_asked_for(there, flown
 
 
 class Panels(Remembers):
-    """Sees a dog at a round red gate, a cat at a round green and a bus at a big square blue one."""
+    """Sees a dog at a round red gate, a cat at a round green, a bus at a big blue one; for a cow takes the dog."""
 
     def refine(self, image, instruction):
         gates = {"dog": Gate("small", "round", "red"), "cat": Gate("small", "round", "green"),
                  "bus": Gate("big", "square", "blue")}  # fmt: skip
         fits = [thing for thing in gates if thing in instruction or ("animal" in instruction and thing != "bus")]
+        fits = fits or ["dog"] * ("cow" in instruction)
         rights = [0.9 - 0.2 * place if thing in fits else 0.02 for place, thing in enumerate(gates)]
         self.seen = tuple(
-            SeenPanel(gate.color, None, thing, (), right, gate)
+            SeenPanel(gate.color, None, thing, ((thing, 0.8), ("wolf", 0.01)), right, gate)
             for (thing, gate), right in zip(gates.items(), rights, strict=True)
         )
         if not fits:
@@ -228,7 +229,12 @@ class Panels(Remembers):
     [
         (SubGoal("fly", "Fly to an animal"), "red"),
         (SubGoal("fly", "Fly to an animal", avoid=frozenset({"Fly to the dog"})), "green"),
-        (SubGoal("fly", "Fly to an animal", avoid=frozenset({"Fly to the zebra"})), "red"),
+        (
+            SubGoal("fly", "Fly to an animal", avoid=frozenset({"Fly to a wolf", "Fly through the gate with the cow"})),
+            "red",
+        ),
+        (SubGoal("fly", "Fly to the bus", avoid=frozenset({"Fly to any animal"})), "blue"),
+        (SubGoal("fly", "Fly to an animal", avoid=frozenset({"Fly to what is like a dog"})), "green"),
         (SubGoal("fly", "Fly to an animal", avoid=frozenset({"round"})), None),
         (SubGoal("fly", "Fly to an animal", avoid=frozenset({"red"}), rejected=frozenset({"green"})), "blue"),
         (SubGoal("fly", "Fly to an animal", avoid=frozenset({"small", "Fly to the bus"})), None),
@@ -244,6 +250,7 @@ def test_what_is_forbidden_by_look_or_thing_is_not_flown_through(goal, color):
     ("goal", "directive"),
     [
         (SubGoal("fly", "Fly to the zebra", "Land on the pad"), "Land on the pad"),
+        (SubGoal("fly", "Fly to a cow", "Land on the pad"), "Land on the pad"),
         (SubGoal("fly", "Fly to the dog", "Land on the pad"), "Fly through the small red round gate"),
         (SubGoal("fly", "Fly to the dog", "Land on the pad", "Fly to the bus", absent=True), "Land on the pad"),
         (SubGoal("fly", "Fly to the dog", "Land on the pad", "Fly to the zebra", absent=True),
