@@ -12,6 +12,8 @@ from cognitivedrone.apps.understanding.evidence import Evidence, taught_names
 from cognitivedrone.apps.understanding.request import Understanding
 from cognitivedrone.apps.understanding.scene import check_evidence, choose_scene, named_scene, plain_instruction
 from cognitivedrone.errors import NotUnderstood
+from cognitivedrone.policies.small import Small
+from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.tasks.format import task_to_json
 from cognitivedrone.tasks.suites import load_suite
 
@@ -72,6 +74,16 @@ def test_what_names_nothing_known_is_not_flown_on_a_vehicle_either():
         "not understood: 'frobnitz'; say what to fly to, such as 'fly to the dog'"
     )
     assert "candle" in evidence.problem("fly to the chandelier")
+
+
+def test_what_is_named_by_no_word_but_clearly_meant_gets_a_scene_and_nothing_else_does():
+    evidence = Evidence(Understanding(real=Small().model.words), concepts=SmallReasoner().concepts)
+    assert evidence.request("take me to where you keep milk cold").labels == {"food/milk"}
+    for sentence in ("take me to the Eiffel Tower", "kill all humans", "fly to the frobnitz"):
+        assert not evidence.request(sentence).understood
+    assert plain_instruction(evidence, None, "coud you fly to the horse") == "coud you fly to the horse"
+    assert plain_instruction(evidence, None, "pls fly to teh elefant :)") == "Fly through the gate with the elephant"
+    assert plain_instruction(evidence, None, "what is 3 + 4?") == "what is 3 + 4?"
 
 
 def test_taught_names_count_as_known_in_any_script():

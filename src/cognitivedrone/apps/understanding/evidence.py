@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from cognitivedrone.apps.understanding import lexicon
 from cognitivedrone.apps.understanding.request import Request, Understanding
-from cognitivedrone.models.words.concepts import Concepts
+from cognitivedrone.models.words.concepts import CLEAR, Concepts
 from cognitivedrone.pilot import Pilot
 from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.tasks.facts import KIND_OF
@@ -40,7 +40,9 @@ class Evidence:
     def request(self, sentence: str) -> Request:
         """What a sentence asks for: by its words, or else the thing that it means to the pilot."""
         request = self.understanding.understand(sentence)
-        meant = None if request.understood or request.note or not self.concepts else self.concepts.meant(sentence)
+        meant = (
+            None if request.understood or request.note or not self.concepts else self.concepts.meant(sentence, CLEAR)
+        )
         if meant is None:
             return request
         kind = KIND_OF[meant[0]]

@@ -23,8 +23,11 @@ from cognitivedrone.models.words.text_encoder import TextEncoderModel
 
 CONCEPTS: Final = "concepts"
 CONCEPTS_FILE: Final = "concepts.onnx"
+STANDS_OUT: Final = 3.5
+"""Standard deviations: what is no English stays below 3.1."""
+CLEAR: Final = 6.0
+"""The same, for what a sentence must mean: "where the king lives" 6.0, "take me to the Eiffel Tower" 5.0."""
 _NEAR = 0.04  # difference in cosine at which a concept counts e times less than one that fits better
-_STANDS_OUT = 3.5  # standard deviations; what is no English stays below 3.1
 _LEAST = 1e-6  # likelihood that no panel falls below
 
 Floats = NDArray[np.float32]
@@ -91,12 +94,14 @@ class Concepts:
             best.setdefault(self._names[place].replace("_", " "), float(fits[place]))
         return tuple(best.items())[:3]
 
-    def meant(self, sentence: str) -> tuple[str, tuple[str, ...]] | None:
-        """The thing of the table that a sentence means, and those that it does not; none where none stands out."""
+    def meant(self, sentence: str, least: float = STANDS_OUT) -> tuple[str, tuple[str, ...]] | None:
+        """The thing of the table that a sentence means, and those that it does not; none where none stands out by so
+        many standard deviations.
+        """
         things, _ = self.fits(sentence)
         above = (things - things.mean()) / things.std()
         above[self._taught] = above.min()
-        if above.max() < _STANDS_OUT:
+        if above.max() < least:
             return None
         return self._names[above.argmax()], tuple(self._names[row] for row in np.flatnonzero(above < np.median(above)))
 
