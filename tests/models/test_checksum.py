@@ -40,7 +40,7 @@ def old_model(path: Path) -> Path:
 
 
 def test_a_sample_of_damaged_files_is_found(tmp_path: Path) -> None:
-    found = faults_input.weight_files(80, seed=1, folder=tmp_path)
+    found = faults_input.weight_files(120, seed=1, folder=tmp_path)
     assert len(found) == len(faults_input.DAMAGES)
     assert faults_input.bad(found, {"found"}) == 0
 

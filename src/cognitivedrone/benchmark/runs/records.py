@@ -82,8 +82,9 @@ class RunFolder:
         with writing(path, RunError, "give another --out"):
             self._kept = _check(path, facts, resume=resume, overwrite=overwrite) and resume
         if self._kept and (path / EPISODES_FILE).exists():
-            self.records, self._length, self._size = _read(path / EPISODES_FILE, self._digest)
-            check_records(self.records, facts, tracks, str(path / EPISODES_FILE))
+            file = path / EPISODES_FILE
+            self.records, self._length, self._size = _read(_content(file), file, self._digest)
+            check_records(self.records, facts, tracks, str(file))
 
     def __enter__(self) -> RunFolder:
         path = self.path
@@ -186,7 +187,8 @@ def read_records(path: Path, facts: RunFacts | None = None) -> dict[int, Record]
 
     Raises `RunError` for records of another run than that of these facts; by default, those of the folder's run.json.
     """
-    return _read(path / EPISODES_FILE, digest_of_run(_facts_in(path) if facts is None else facts))[0]
+    file = path / EPISODES_FILE
+    return _read(_content(file), file, digest_of_run(_facts_in(path) if facts is None else facts))[0]
 
 
 def _holds_run(path: Path) -> bool:
@@ -289,13 +291,16 @@ def _parse(line: bytes, run: str, where: str) -> Record:
     return decode(Record, body, where)
 
 
-def _read(path: Path, run: str) -> tuple[dict[int, Record], int, int]:
-    """The records, the length in bytes of the intact part of the file, and that of all of it. Raises `RunError`."""
+def _content(path: Path) -> bytes:
     try:
         with open_regular(path, MAX_EPISODES_BYTES) as file:
-            content = file.read(MAX_EPISODES_BYTES)
+            return file.read(MAX_EPISODES_BYTES)
     except OSError as error:
         raise RunError(f"{path} cannot be read: {reason_of(error)}; give the --out folder of a run") from None
+
+
+def _read(content: bytes, path: Path, run: str) -> tuple[dict[int, Record], int, int]:
+    """The records of a file, the length in bytes of its intact part, and that of all of it. Raises `RunError`."""
     lines = content.splitlines(keepends=True)
     if lines and not lines[-1].endswith(b"\n"):
         lines.pop()
