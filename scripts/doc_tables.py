@@ -48,12 +48,6 @@ ENVIRONMENT = "`benchmarks/environment.py`"
 RENDERING = ("{frames_per_s_1:,.0f} and {frames_per_s_2:,.0f} frames/s", "{ratio:.2f}", "`benchmarks/rendering.py`")
 START_UP = ("{ms:.0f} ms", "{ratio:.2g} x python alone", "`benchmarks/start_up.py`")
 SYSTEMS = {"system": "{system}", "Python": "{python}", "what": "{what}", "result": "{result}"}
-OWN = "its own instruction: passed, wrong gate, other, hovered"
-ANOTHER = "instruction of a task with other kinds of panels: hovered, flew through a gate, other"
-HELD = (
-    "{own_passed}, {own_wrong_gate}, {own_other}, **{own_hovered}**",
-    "**{another_hovered}**, {another_through}, {another_other}",
-)
 PAST_OBSTACLES = (
     "{passed} of {n}",
     "{choice_accuracy:.0%}",
@@ -419,13 +413,6 @@ TABLES: Final[dict[str, Description]] = {
             "requests/s": "{per_s:.0f}",
             "memory, and growth after the first tenth": "{memory_mb:.0f} MB, {grown:+.1%}",
         },
-    ),
-    # docs/fly.md, docs/real-drone.md
-    "holding": lines_of(
-        ("`--suite`", OWN, ANOTHER),
-        Line("holding_test", {}, ("`open-v1:test`", *HELD)),
-        Line("holding_never", {}, ("the same, `--below 0`", *HELD)),
-        Line("holding_hard", {}, ("`open-v1:hard`", *HELD)),
     ),
     # docs/suites.md
     "missions": rows_of(

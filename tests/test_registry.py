@@ -12,7 +12,7 @@ from cognitivedrone import registry
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.interfaces import Policy
 from cognitivedrone.policies import POLICIES, SELF_CONTAINED, make_policy, model_file
-from cognitivedrone.reasoners import REASONERS, make_reasoner, reasoner_file
+from cognitivedrone.reasoners import REASONERS, make_reasoner, reasoner_files
 from cognitivedrone.reasoners import SELF_CONTAINED as REASONERS_ALONE
 
 TABLE = {"own": f"{__name__}:Own", "plain": f"{__name__}:Plain"}
@@ -147,12 +147,12 @@ def test_a_file_without_its_class_is_answered_with_the_form_to_write(tmp_path, m
 
 def test_a_run_is_identified_by_the_file_of_the_users_own_plug_in(tmp_path):
     class_text = f"{__name__}:WithFile:{tmp_path / 'a.pt'}"
-    assert registry.file_of("policy", class_text, {}) == tmp_path / "a.pt"
-    assert registry.file_of("policy", "plain", TABLE) is None
+    assert registry.files_of("policy", class_text, {}) == (tmp_path / "a.pt",)
+    assert registry.files_of("policy", "plain", TABLE) == ()
 
 
 def test_a_file_of_that_is_inherited_with_other_arguments_says_nothing():
-    assert registry.file_of("policy", f"{__name__}:Bolder:0.5", {}) is None
+    assert registry.files_of("policy", f"{__name__}:Bolder:0.5", {}) == ()
 
 
 class WithFile:
@@ -228,7 +228,7 @@ def test_what_is_no_policy_is_not_called(name, make, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["os:system:touch pwned", "cognitivedrone.policies.baselines:Hover", "time:sleep:9"])
-@pytest.mark.parametrize("make", [make_reasoner, reasoner_file])
+@pytest.mark.parametrize("make", [make_reasoner, reasoner_files])
 def test_what_is_no_reasoner_is_not_called(name, make, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(PolicyError, match=r"has no method refine\(\)"):

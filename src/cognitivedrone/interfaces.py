@@ -105,6 +105,10 @@ class Policy(PlugIn, ABC):
         """
         return [attempt(session.act, seen) for session, seen in zip(sessions, observations, strict=True)]
 
+    def around(self, action: Action) -> Action:
+        """A command (4,) that is not its own, changed so that it leads around what the policy has seen in the way."""
+        return action
+
 
 class Reasoner(PlugIn, ABC):
     """Turns the user's instruction and an image of the scene into a plain directive.

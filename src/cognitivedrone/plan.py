@@ -206,6 +206,8 @@ class PilotSpec(Options):
     """Policy: a name, small:MODEL.onnx for a model file, or your own as module:attribute."""
     reasoner: str = _option("none", command="always")
     """Reasoner: a name, none to give the policy the raw instruction, or your own as module:attribute."""
+    look: Literal["yes", "no"] = _option("yes", identity="look", written="where set")
+    """Whether the drone looks closer where the reasoner is unsure, before it chooses."""
 
     @property
     def shown(self) -> PilotSpec:

@@ -23,7 +23,7 @@ import inspect
 import sys
 import traceback
 import types
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -183,25 +183,26 @@ def make(kind: str, text: str, table: Mapping[str, str], methods: Collection[str
         raise PluginError(f"{kind} {text!r} cannot be made: {one_line(error)}") from error
 
 
-def file_of(kind: str, text: str, table: Mapping[str, str], methods: Collection[str] = ()) -> Path | None:
-    """The file that the plug-in depends on, from its `file_of`, called with the same arguments; none if it has none.
+def files_of(kind: str, text: str, table: Mapping[str, str], methods: Collection[str] = ()) -> tuple[Path, ...]:
+    """The files that the plug-in depends on, from its `file_of`, called with the same arguments: a path, or several.
 
-    One that is inherited by a class with other arguments says nothing of it. Raises `PluginError` if the file is
-    missing.
+    One that is inherited by a class with other arguments says nothing of it. Raises `PluginError` if a file is missing.
     """
     if text not in table and ":" not in text:
-        return None  # making it reports the unknown name
+        return ()  # making it reports the unknown name
     call = call_of(kind, text, table, methods)
     ask = getattr(call.factory, "file_of", None)
     if ask is None or not _takes(ask, call.arguments):
-        return None
-    found: Path | None = ask(**call.arguments)
-    if found is not None and found.exists() and not (found.is_dir() and getattr(call.factory, "reads_folder", False)):
-        try:
-            check_regular(found)  # before it is hashed: a pipe or a device would never end
-        except OSError as error:
-            raise PluginError(f"{kind} {text!r}: {found} cannot be read: {reason_of(error)}; give a file") from None
-    return found
+        return ()
+    answer: Path | Sequence[Path] | None = ask(**call.arguments)
+    files = () if answer is None else (answer,) if isinstance(answer, Path) else tuple(answer)
+    for found in files:
+        if found.exists() and not (found.is_dir() and getattr(call.factory, "reads_folder", False)):
+            try:
+                check_regular(found)  # before it is hashed: a pipe or a device would never end
+            except OSError as error:
+                raise PluginError(f"{kind} {text!r}: {found} cannot be read: {reason_of(error)}; give a file") from None
+    return files
 
 
 def on_card(kind: str, text: str, table: Mapping[str, str]) -> bool:

@@ -139,7 +139,7 @@ def planned(sentence, out, *goals):
     """The flight, and the sentences that the reasoner was asked about."""
     reasoner = Planner(*goals)
     pilot = Pilot(make_policy("oracle"), reasoner)
-    return flying(sentence, out, pilot=pilot, hold_below=0, time_limit=30), reasoner.asked
+    return flying(sentence, out, pilot=pilot, look="no", time_limit=30), reasoner.asked
 
 
 def test_the_reasoners_own_plan_is_flown(tmp_path):

@@ -21,7 +21,7 @@ from cognitivedrone.models.onnx_file import check_model_file
 from cognitivedrone.models.openvla.checkpoint import inspect, read_header
 from cognitivedrone.policies import model_file
 from cognitivedrone.policies.lerobot import read_config
-from cognitivedrone.reasoners import reasoner_file
+from cognitivedrone.reasoners import reasoner_files
 from cognitivedrone.reasoners.prompt import load_prompt
 from cognitivedrone.reasoners.replay import read_answers
 from cognitivedrone.serving.access import token_of
@@ -30,7 +30,7 @@ from cognitivedrone.tasks.knowledge.rows import read_rows
 
 READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "answers": ("answers.jsonl", read_answers),
-    "digest of answers": ("answers.jsonl", lambda file: reasoner_file(f"replay:{file}")),
+    "digest of answers": ("answers.jsonl", lambda file: reasoner_files(f"replay:{file}")),
     "digest of a model": ("model.onnx", lambda file: model_file(f"small:{file}")),
     "latencies": ("times", lambda file: parse_delays(f"policy={file}")),
     "lerobot": ("config.json", lambda file: read_config(file.parent)),

@@ -34,7 +34,7 @@ def test_groups_cut_the_names_without_gaps() -> None:
 def test_attribute_values_apply_to_the_kinds_of_picture_that_have_them() -> None:
     kinds = [name.partition("/")[2] for name in SCHEMA.names[SCHEMA.groups["kind"]]]
     applies = {
-        kind: {SCHEMA.names[i] for i in np.flatnonzero(row)} for kind, row in zip(kinds, SCHEMA.applies(), strict=True)
+        kind: {SCHEMA.names[i] for i in np.flatnonzero(row)} for kind, row in zip(kinds, SCHEMA.applies, strict=True)
     }
     groups = {kind: {name.partition("/")[0] for name in names} - {"kind"} for kind, names in applies.items()}
     assert groups["thing"] == groups["logo"] == groups["letter"] == groups["number"] == {"concept"}

@@ -146,7 +146,7 @@ def test_another_address_than_this_machines_own_needs_a_token(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"suite": "open-v1:nothing"}, {"time_limit": -1.0}, {"hold_below": 2.0}, {"labels": "no-such-folder"}]
+    "wrong", [{"suite": "open-v1:nothing"}, {"time_limit": -1.0}, {"look": "maybe"}, {"labels": "no-such-folder"}]
 )
 def test_what_is_misnamed_is_reported_before_a_page_opens(tmp_path, wrong):
     opened = []

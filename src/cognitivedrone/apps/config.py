@@ -10,7 +10,7 @@ import tyro
 
 from cognitivedrone.errors import LinkError
 from cognitivedrone.plan import Options, PilotSpec, SafetySpec, Scenario, VehicleSpec
-from cognitivedrone.ranges import Amount, Index, Port, Range, Share
+from cognitivedrone.ranges import Amount, Index, Port, Range
 from cognitivedrone.system import CAMERA
 from cognitivedrone.text.printable import unprintable
 
@@ -35,9 +35,6 @@ class FlyPlan(Options):
     """Task of the suite, from 0; by default the first, or, for an instruction of your own, the one that fits it best.
     The suite auto means open-v1:smoke, by default its task 27, or, for an instruction of your own, a suite that shows
     what it asks for."""
-    hold_below: Share = 0.5
-    """Hover while the reasoner's certainty that the scene shows what is asked for is below this, 0 to 1; 0 never
-    hovers."""
     gates: Amount = 1
     """With mavlink: land after this many gates, by the pilot's own estimate; 0 flies on until the time limit."""
     time_limit: TimeLimit = 60.0

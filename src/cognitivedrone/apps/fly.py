@@ -35,13 +35,12 @@ from cognitivedrone.apps.understanding.scene import (
 from cognitivedrone.apps.values import Ending, Page, SteeredDrone, Summary
 from cognitivedrone.apps.view import Instruments, Printer, say
 from cognitivedrone.apps.watchdog import HUNG, Watchdog
-from cognitivedrone.control.async_reasoner import SimulatedReasoner, ThreadedReasoner
-from cognitivedrone.control.hold import HeldDrone, Hold, HoldAwareReasoner, HoldRule
+from cognitivedrone.control.async_reasoner import AsyncReasoner, SimulatedReasoner, ThreadedReasoner
+from cognitivedrone.control.closer_look import CloserLook
 from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import fly
 from cognitivedrone.control.passage import Passage, WatchedDrone
 from cognitivedrone.control.planning import Plans, plans_with
-from cognitivedrone.control.second_look import SecondLook
 from cognitivedrone.data.formats.mcap import Ros
 from cognitivedrone.envs.track_runner import TrackConfig, episode_rng
 from cognitivedrone.errors import GroundTruthError, NotUnderstood, ReasonerError
@@ -230,16 +229,14 @@ def _fly(
     if plan.vehicle.kind != "sim":
         console.print("connected; waiting until the vehicle is ready (ctrl-C stops)", highlight=False)
     drone = vehicle.take_off(lambda checklist: _confirm(checklist, vehicle, console, keyboard))
-    hold = Hold(HoldRule(below=plan.hold_below))
+    look = CloserLook.of(plan.pilot.look)
     passage = Passage() if vehicle.track_runner is None else None
     flown: Drone = drone if page is None else SteeredDrone(drone, page)
     if page is not None:
         page.begin(vehicle, pilot, goals if is_mission(goals) else ())
     if passage is not None:
         flown = WatchedDrone(flown, passage)
-    looks = vehicle.track_runner is not None and pilot.reasoner is not None and plan.hold_below > 0
-    flown = SecondLook(flown, hold) if looks else HeldDrone(flown, hold)
-    mission = Mission(plan, vehicle, orders, drone.now, hold, passage, plain, refused, flown, plans)
+    mission = Mission(plan, vehicle, orders, drone.now, look, passage, plain, refused, plans)
     timed = TimedPolicy(pilot.policy)
     with ExitStack() as stack:
         stack.enter_context(landing_on_interrupt(orders, at_once=vehicle.track_runner is not None))
@@ -250,17 +247,21 @@ def _fly(
             shown = Instruments(f"{names.policy} + {names.reasoner} on {plan.vehicle.link}", lambda: keys.typed)
             stack.enter_context(Live(shown, console=console, refresh_per_second=REDRAWN_HZ))
         instruments = (log, shown) if page is None else (log, shown, page)
-        recorder = Recorder(instruments, mission, vehicle, timed, hold)
-        async_reasoner = (
-            None
-            if pilot.reasoner is None
-            else HoldAwareReasoner(
-                ThreadedReasoner(pilot.reasoner) if pace == "wall" else SimulatedReasoner(pilot.reasoner), hold
-            )
-        )
+        recorder = Recorder(instruments, mission, vehicle, timed)
+        async_reasoner: AsyncReasoner | None = None
+        if pilot.reasoner is not None:
+            asynchronous = ThreadedReasoner if pace == "wall" else SimulatedReasoner
+            async_reasoner = asynchronous(pilot.reasoner)
         try:
             steps = fly(
-                flown, timed, drone, mission, reasoner=async_reasoner, recorder=recorder, real_time=pace == "wall"
+                flown,
+                timed,
+                drone,
+                mission,
+                reasoner=async_reasoner,
+                look=look,
+                recorder=recorder,
+                real_time=pace == "wall",
             )
             ending, seconds = mission.ending or Ending("ordered", ""), drone.now()
             if ending.kind in ("passed", "flown") and plan.vehicle.kind != "sim":

@@ -10,13 +10,11 @@ from cognitivedrone.apps.config import FlyPlan
 from cognitivedrone.apps.ending import ending_of, flown_by_estimate, out_of_time
 from cognitivedrone.apps.orders import Orders
 from cognitivedrone.apps.values import Ending, Instrument, Step
-from cognitivedrone.control.hold import Hold
+from cognitivedrone.control.closer_look import CloserLook
 from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Segment
 from cognitivedrone.control.passage import Passage
 from cognitivedrone.control.planning import Plans
-from cognitivedrone.control.second_look import SecondLook
-from cognitivedrone.interfaces import Drone
 from cognitivedrone.tasks.directives import HOLD, parse_directive
 from cognitivedrone.tasks.missions import LOOKS, is_mission, lands, read, rejects, sub_goals
 from cognitivedrone.types import Action, Color, Event, Guidance, Observation, SubGoal
@@ -59,17 +57,16 @@ class Mission:
         vehicle: Vehicle,
         orders: Orders,
         now: Callable[[], float],
-        hold: Hold,
+        look: CloserLook,
         passage: Passage | None,
         plain: Callable[[str], str | None],
         refused_looks: Callable[[str], frozenset[str]],
-        drone: Drone,
         plans: Plans = sub_goals,
     ) -> None:
         self.segment: Segment | None = None
         self.ending: Ending | None = None
-        self._plan, self._vehicle, self._orders, self._now, self._hold = plan, vehicle, orders, now, hold
-        self._passage, self._plain, self._drone, self._plans = passage, plain, drone, plans
+        self._plan, self._vehicle, self._orders, self._now, self._look = plan, vehicle, orders, now, look
+        self._passage, self._plain, self._plans = passage, plain, plans
         self._refused_looks = refused_looks
         self.aim: Color | None = None
         """Of the gate that the reasoner directs to, once it has answered about this order and stage."""
@@ -95,17 +92,15 @@ class Mission:
         )
         if self.ending is None and self._now() >= self._plan.time_limit:
             self.ending = out_of_time(self._vehicle, self._plan.time_limit)
-            if self._hold.active:
-                self.ending = Ending("unsure", f"{self.ending.reason}; it hovered, only {_doubt(self._hold)}")
-        if self.ending is not None and self._hold.given_up:
-            self.ending = replace(
-                self.ending, reason=f"{self.ending.reason}; {self._hold.reason or _doubt(self._hold)}"
-            )
+            if self._look.active:
+                self.ending = Ending("unsure", f"{self.ending.reason}; it was {self._look.described}")
+        if self.ending is not None and self._look.given_up:
+            self.ending = replace(self.ending, reason=f"{self.ending.reason}; {self._look.reason}")
         if self.ending is not None:
             return None
         truth = track.truth() if track is not None else None
         of_scene = truth.task.instruction if truth is not None else ""
-        self._hold.begin(index + order.number)
+        self._look.begin(index + order.number)
         goal = self._goal(instruction, of_scene, index)
         no_pad = goal is not None and goal.kind == "land" and not (truth is not None and truth.task.landing)
         if no_pad or (goal is not None and self.to_land and lands(goal.otherwise)[0]):
@@ -113,7 +108,7 @@ class Mission:
             self.ending = Ending("ordered", f"landed where it was, as the mission says{why}")
             return None
         sentence = instruction if goal is None else goal.instruction
-        # The words of a reasoner's own plan are its own: only what people type is put into plain words.
+        # The words of a reasoner's own plan are its own: only what people type may be put into English.
         own = goal is not None and self._plans(instruction) != sub_goals(instruction)
         unkept = self._unaided and kept_by_none(goal)
         plain = sentence if own else None if read(instruction).problem or unkept else self._plain(sentence)
@@ -129,14 +124,10 @@ class Mission:
                 avoid=avoid,
             )
         if plain is None:
-            self._hold.give_up(UNKEPT if unkept else f"{sentence!r} was not understood")
+            self._look.give_up(UNKEPT if unkept else f"{sentence!r} was not understood")
             plain = self.segment.instruction if self.segment is not None else HOLD
-        if track is not None and self._hold.active:  # while it looks again, it has not declined
-            track.decline(self._hold.given_up)
-        if index != self._stage and isinstance(self._drone, SecondLook):
-            self._drone.begin_stage()
         self._stage = index
-        self.segment = Segment(index + order.number, plain or of_scene, truth, goal, len(order.corrections))
+        self.segment = Segment(index + order.number, plain or of_scene, truth, goal, index, len(order.corrections))
         return self.segment
 
     def _asked(self, instruction: str) -> int:
@@ -181,14 +172,13 @@ class Recorder:
     """Combines the loop's reports with the vehicle's status, and passes them to the instruments."""
 
     def __init__(
-        self, instruments: Sequence[Instrument], mission: Mission, vehicle: Vehicle, timed: TimedPolicy, hold: Hold
+        self, instruments: Sequence[Instrument], mission: Mission, vehicle: Vehicle, timed: TimedPolicy
     ) -> None:
         self.late = 0
         self.answers_s: list[float] = []
         self._instruments, self._mission, self._vehicle, self._timed = instruments, mission, vehicle, timed
         self._decisions = 0
         self._decision = "fly"
-        self._hold, self._held = hold, False
 
     def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None:
         """Report a control step."""
@@ -201,10 +191,6 @@ class Recorder:
         if status.decision != self._decision:
             self._decision = status.decision
             self.note(Event(observation.time, "guard", f"{status.decision}: {status.reason}".rstrip(": ")))
-        if self._hold.active != self._held:
-            self._held = self._hold.active
-            change = f"{'hovering' if self._held else 'flying on'}, {_doubt(self._hold)}"
-            self.note(Event(observation.time, "hold" if self._held else "sure", change))
         thought = self._timed.took_s[-1] if len(self._timed.took_s) > self._decisions else None
         self._decisions = len(self._timed.took_s)
         step = Step(
@@ -218,14 +204,9 @@ class Recorder:
         """Report an event."""
         self.late += event.kind == "late"
         track = self._vehicle.track_runner
-        if event.kind in ("declined", "resumed") and track is not None and not self._hold.active:
+        if event.kind in ("declined", "resumed") and track is not None:
             track.decline(event.kind == "declined")
         if event.kind in ("adopted", "agreed", "kept") and event.age_s is not None:
             self.answers_s.append(event.age_s)
         for instrument in self._instruments:
             instrument.event(event)
-
-
-def _doubt(hold: Hold) -> str:
-    """The pilot's certainty, as text."""
-    return f"{hold.sure:.0%} sure that the scene shows what is asked for"

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
@@ -98,6 +98,8 @@ class Answer:
     """Traceback, if the reasoner raised an exception of its own."""
     certainty: float | None = None
     """Of a fault: as `ReasonerError.certainty`."""
+    seen: Sequence[SeenPanel] = ()
+    """What the reasoner has read of the panels by then."""
 
 
 class AsyncReasoner(Protocol):
@@ -218,9 +220,9 @@ class _Thinker:
         """An answer in any case: an exception or invalid result of the reasoner becomes a fault."""
         try:
             with asking(self._watch):
-                return Answer(question, check_guidance(self._ask(question)))
+                return Answer(question, check_guidance(self._ask(question)), seen=self._reasoner.seen)
         except ReasonerError as error:
-            return Answer(question, None, error.kind, str(error), error.trace, error.certainty)
+            return Answer(question, None, error.kind, str(error), error.trace, error.certainty, self._reasoner.seen)
 
     def _ask(self, question: Question) -> Guidance:
         reasoner = self._reasoner

@@ -58,13 +58,18 @@ class DirectiveFilter:
         if self._current is None:
             self._present = present
 
-    def update(self, guidance: Guidance, seen_at: float) -> AnswerKind:
-        """Process an answer about the frame taken at `seen_at`, s.
+    def update(self, guidance: Guidance, seen_at: float, *, looked: bool = False) -> AnswerKind:
+        """Process an answer about the frame taken at `seen_at`, s; `looked`: the first one after a closer look.
+
+        After that, what was answered before counts no more, and a single answer is enough to decline.
 
         Returns `adopted` if it becomes the current directive, `agreed` if it means the same as the current one, `kept`
         if the current one stays.
         """
         meaning = meaning_of(guidance.directive)
+        if looked:
+            self._evidence.clear()
+            self._current, self._declined = None, self.rule.declines
         self._evidence = {known: value * self.rule.fading for known, value in self._evidence.items()}
         self._evidence[meaning] = self._evidence.get(meaning, 0.0) + guidance.confidence
         self._declined = self._declined + 1 if meaning == HOLD and self._doubts(guidance.confidence) else 0

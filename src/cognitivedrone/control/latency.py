@@ -21,7 +21,7 @@ from cognitivedrone.errors import SimulationError
 from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.files.texts import decoded
 from cognitivedrone.interfaces import Policy
-from cognitivedrone.types import ActionChunk, EpisodeContext, Observation
+from cognitivedrone.types import Action, ActionChunk, EpisodeContext, Observation
 
 LONGEST_S = 60.0
 """Longest delay that can be charged."""
@@ -65,6 +65,11 @@ class TimedPolicy(Policy):
         """Why the policy only holds the position."""
         with calling("the policy", self._watch):
             return self.policy.trouble
+
+    def around(self, action: Action) -> Action:
+        """As `Policy.around`."""
+        with calling("the policy", self._watch):
+            return self.policy.around(action)
 
     def reset(self, context: EpisodeContext) -> None:
         """Start a stage."""

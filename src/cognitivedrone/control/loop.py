@@ -11,6 +11,7 @@ import numpy as np
 
 from cognitivedrone.control.async_reasoner import UNAIDED, AsyncReasoner, LateAnswers, Question
 from cognitivedrone.control.calls import begin_stage, check_chunk
+from cognitivedrone.control.closer_look import CloserLook
 from cognitivedrone.control.directive_filter import DirectiveFilter
 from cognitivedrone.control.landing import Lander
 from cognitivedrone.control.latency import LatencyModel
@@ -44,6 +45,8 @@ class Segment:
     """Only in a simulator, for policies and reasoners that need it."""
     goal: SubGoal | None = None
     """What this part of a mission is about, if the instruction is part of one."""
+    stage: int | None = None
+    """Number of the stage, where an instruction may be given in the middle of one; by default as `index`."""
     corrections: int = 0
     """How often the user rejected the gate flown at: a choice is dropped with each, but not what was seen."""
 
@@ -64,6 +67,7 @@ def fly(
     mission: Mission,
     *,
     reasoner: AsyncReasoner | None = None,
+    look: CloserLook | None = None,
     recorder: Recorder | None = None,
     latency_model: LatencyModel | None = None,
     seed: int = 0,
@@ -81,6 +85,9 @@ def fly(
     directive replaces the instruction when it arrives; `DirectiveFilter` decides whether it replaces another directive.
     The recorder is notified when `UNAIDED` answers in a row were late.
 
+    Where the reasoner's answers leave it in doubt, the drone looks closer (`look`): on the way ahead the policy still
+    sees every frame, for what is in the way, but it does not fly, and only the answer at the end of the look counts.
+
     The pilot declines while the current directive is "Hold position", or while the policy says so (`Policy.declines`).
     With that directive the drone hovers and the policy is not asked. Where the segment's instruction, never only a
     directive, is to land on a pad, the loop's own `Lander` flies, and nobody is asked. The recorder is notified of both
@@ -88,13 +95,13 @@ def fly(
 
     `real_time` tells the policy whether time goes on while it computes.
     """
-    log = recorder or _NullRecorder()
+    log, look = recorder or _NullRecorder(), look or CloserLook.of("no")
     start = clock.now()
     tolerance_s = LATE_S + resolution_of(clock)
     segment_index: int | None = None
     corrections = 0
     directive_filter, late_answers = DirectiveFilter(), LateAnswers()
-    declined, troubled = False, False
+    declined, troubled, looked, stage = False, False, False, None
     pending: list[Action] = []
     lander = Lander()
     slot = sent_count = 0
@@ -104,19 +111,23 @@ def fly(
         if late > tolerance_s:
             log.note(Event(clock.now() - start, "late", age_s=late))
         if segment.index != segment_index:
-            stage = 0 if segment_index is None else segment.index
+            number = 0 if segment_index is None else segment.index
             segment_index, directive_filter, pending, next_question = segment.index, DirectiveFilter(), [], slot
             declined, lander, corrections = False, Lander(), segment.corrections
-            begin_stage(policy, EpisodeContext(segment.instruction, seed, stage, segment.truth, real_time))
+            look.begin(segment.index)
+            begin_stage(policy, EpisodeContext(segment.instruction, seed, number, segment.truth, real_time))
             log.note(Event(clock.now() - start, "segment", segment.instruction))
         elif segment.corrections != corrections:
             corrections, directive_filter, pending, next_question = segment.corrections, DirectiveFilter(), [], slot
             log.note(Event(clock.now() - start, "corrected", segment.instruction))
         observation = drone.observe()
+        look.see(observation, waits=declined)
+        if stage != (stage := segment.index if segment.stage is None else segment.stage):
+            look.begin_stage()
         landing, pad = lands(segment.instruction)
         if reasoner is not None and not landing:
-            _poll(reasoner, directive_filter, late_answers, segment, start, clock.now(), log)
-            if slot >= next_question and reasoner.idle(clock.now()):
+            _poll(reasoner, directive_filter, look, late_answers, segment, start, clock.now(), log)
+            if slot >= next_question and look.listens and reasoner.idle(clock.now()):
                 reasoner.ask(
                     Question(
                         segment.index, segment.instruction, observation.image, clock.now(), segment.truth, segment.goal
@@ -124,27 +135,34 @@ def fly(
                 )
                 log.note(Event(clock.now() - start, "asked", segment.instruction))
                 next_question = slot + CONTROL_HZ // REASONER_HZ
-                _poll(reasoner, directive_filter, late_answers, segment, start, clock.now(), log)
+                _poll(reasoner, directive_filter, look, late_answers, segment, start, clock.now(), log)
         guidance = directive_filter.guidance(clock.now())
         observation = replace(observation, instruction=guidance.directive if guidance else segment.instruction)
-        held = guidance is not None and declines(guidance.directive)
+        looks = look.active and not landing
+        if looked != looks:
+            looked, pending = looks, []
+            log.note(Event(clock.now() - start, "hold" if looks else "sure", look.described))
+        held = look.given_up or (not looks and guidance is not None and declines(guidance.directive))
         if held:
             pending = [np.zeros(4, dtype=np.float32)]
         elif landing:
             pending = [lander.act(observation, pad)]
-        elif not pending:
+        elif not pending and (not looks or look.ahead):
             begin = time.perf_counter()
             pending = list(check_chunk(policy.act(observation)))
             directive_filter.policy_says(policy.present)
             if latency_model is not None:
                 clock.sleep_until(clock.now() + latency_model(time.perf_counter() - begin))
-        if declined != (held or (policy.declines and not landing)):
+        action = pending.pop(0) if pending else np.zeros(4, dtype=np.float32)
+        if looks:
+            action = policy.around(look.command())
+        if declined != (held or (policy.declines and not landing and not looks)):
             declined = not declined
             log.note(Event(clock.now() - start, "declined" if declined else "resumed", observation.instruction))
         if troubled != bool(policy.trouble):
             troubled = not troubled
             log.note(Event(clock.now() - start, "lost" if troubled else "back", policy.trouble))
-        sent = drone.send(pending.pop(0))
+        sent = drone.send(action)
         log.record(observation, sent, guidance)
         sent_count += 1
         slot = max(slot + 1, math.ceil((clock.now() - start) * CONTROL_HZ - LATE_S * CONTROL_HZ))
@@ -155,6 +173,7 @@ def fly(
 def _poll(
     reasoner: AsyncReasoner,
     directive_filter: DirectiveFilter,
+    look: CloserLook,
     late_answers: LateAnswers,
     segment: Segment,
     start: float,
@@ -169,10 +188,12 @@ def _poll(
     if (answer.question.segment, answer.question.goal) != (segment.index, segment.goal):
         text = answer.guidance.directive if answer.guidance else answer.message
         log.note(Event(now - start, "stale", text, age))
+    elif not look.hear(answer) and answer.guidance is not None:
+        log.note(Event(now - start, "kept", answer.guidance.directive, age))
     elif answer.guidance is None:
         log.note(Event(now - start, answer.fault or "garbage", answer.message, age))
     else:
-        what = directive_filter.update(answer.guidance, answer.question.time)
+        what = directive_filter.update(answer.guidance, answer.question.time, looked=look.ended)
         log.note(Event(now - start, what, answer.guidance.directive, age))
     if late_answers.count(age):
         text = f"the last {UNAIDED} answers of the reasoner were late: the policy flies without it"

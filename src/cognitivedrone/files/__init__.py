@@ -141,13 +141,18 @@ def digest_of_file(path: Path, max_bytes: int | None = None) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def digest_of_files(path: Path) -> str:
-    """SHA-256 of a file, or over the names and contents of all JSON files below a folder; raises `OSError`."""
-    if not path.is_dir():
+def digest_of_files(*paths: Path) -> str:
+    """SHA-256 of a file, or over the names and contents of several, or of all JSON files below a folder.
+
+    Raises `OSError`.
+    """
+    path, *more = paths
+    if not more and not path.is_dir():
         return digest_of_file(path)
     digest = hashlib.sha256()
-    for file in own_files(path, "**/*.json"):
-        digest.update(f"{file.relative_to(path).as_posix()}\0{digest_of_file(file)}\n".encode(errors="surrogateescape"))
+    for file in paths if more else own_files(path, "**/*.json"):
+        name = file.name if more else file.relative_to(path).as_posix()
+        digest.update(f"{name}\0{digest_of_file(file)}\n".encode(errors="surrogateescape"))
     return digest.hexdigest()
 
 

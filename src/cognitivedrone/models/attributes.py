@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,14 +31,14 @@ _COUNTED = 0.5  # probability of more than one thing on a panel, from which a st
 _LEAST = 1e-6  # probability, for divisions
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class AttributeSchema:
     """Names of all attribute values that can be read."""
 
     names: tuple[str, ...]
     """As "group/value"."""
 
-    @property
+    @cached_property
     def groups(self) -> dict[str, slice]:
         """Slices of the attribute values of each group; the groups follow each other without gaps."""
         found: dict[str, slice] = {}
@@ -47,11 +48,12 @@ class AttributeSchema:
             found[group] = slice(start, index + 1)
         return found
 
-    @property
+    @cached_property
     def things(self) -> tuple[int, ...]:
         """Places of the animals, foods and objects among the names."""
         return tuple(index for index, name in enumerate(self.names) if name.startswith("concept/thing:"))
 
+    @cached_property
     def applies(self) -> Floats:
         """(kinds, F): 1 where an attribute value applies to a kind of picture; the kinds in their group's order."""
         kinds = [name.partition("/")[2] for name in self.names[self.groups["kind"]]]
@@ -68,7 +70,7 @@ class AttributeSchema:
             part = np.exp(logits[:, span] - logits[:, span].max(axis=1, keepdims=True))
             shares[:, span] = part / part.sum(axis=1, keepdims=True)
         kinds = self.groups["kind"]
-        weighted: Floats = shares * (shares[:, kinds] @ self.applies())
+        weighted: Floats = shares * (shares[:, kinds] @ self.applies)
         return weighted
 
     def single_things(self, panels: Floats) -> Floats:

@@ -9,7 +9,7 @@ import tyro
 
 from cognitivedrone.apps.config import SHOWN, TimeLimit
 from cognitivedrone.plan import Options, PilotSpec, Scenario
-from cognitivedrone.ranges import Port, Share
+from cognitivedrone.ranges import Port
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +37,6 @@ class PlayPlan(Options):
     scenario: Scenario = SHOWN
     pilot: PilotSpec = PilotSpec(reasoner="small")
     page: PageSpec = PageSpec()
-    hold_below: Share = 0.5
-    """Hover while the reasoner's certainty is below this, 0 to 1; 0 never hovers."""
     time_limit: TimeLimit = 60.0
     """End a flight after this many seconds."""
     out: Path | None = None

@@ -277,8 +277,8 @@ class Studio(FlightControls):
             self._flights += 1
         scenario = self.plan.scenario.changed(seed=self._seed, labels=self._pack())
         plan = FlyPlan(
-            instruction, scenario, self._spec, hold_below=self.plan.hold_below, time_limit=self.plan.time_limit,
-            out=folder, film=self._record, view=False,
+            instruction, scenario, self._spec, time_limit=self.plan.time_limit, out=folder, film=self._record,
+            view=False,
         )  # fmt: skip
         shown = plan if self._mode != "suite" else plan.changed(suite=self._suite, episode=self._episode)
         self._command = command_line(shown)

@@ -33,7 +33,7 @@ def model_file(name: str) -> Path | None:
 
     Raises `PolicyError` if the file is missing.
     """
-    return registry.file_of("policy", name, POLICIES, POLICY_METHODS)
+    return next(iter(registry.files_of("policy", name, POLICIES, POLICY_METHODS)), None)
 
 
 def make_policy(name: str) -> Policy:

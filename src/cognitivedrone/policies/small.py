@@ -21,7 +21,7 @@ from cognitivedrone.models.onnx_file import check_model_file
 from cognitivedrone.models.small_file import Output, SmallModel
 from cognitivedrone.policies.avoidance import Avoidance
 from cognitivedrone.system import cores
-from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, FloatArray, Image, Observation
+from cognitivedrone.types import IMAGE_SIZE, Action, ActionChunk, EpisodeContext, FloatArray, Image, Observation
 
 LONGEST_INSTRUCTION = 1000
 """Maximum length in characters."""
@@ -87,6 +87,7 @@ class Small(Policy):
         self.last: Output | None = None
         """The network's output for the last frame, n = 1, for viewers; none before the first."""
         self._text = ""
+        self._state: FloatArray | None = None
         self._presence = Presence()
         self.declines = False
 
@@ -113,7 +114,7 @@ class Small(Policy):
 
         Raises `PolicyError` if it is empty or longer than `LONGEST_INSTRUCTION`.
         """
-        self.last = None
+        self.last = self._state = None
         self._forget()
         self._avoidance = Avoidance()
         self.declines = False
@@ -131,10 +132,17 @@ class Small(Policy):
             raise output
         return self._decide(frame, output)
 
+    def around(self, action: Action) -> Action:
+        """As `Policy.around`: the obstacles in the newest frame, and those seen before."""
+        state = self._state
+        return (
+            action if state is None or self._eye is None else self._avoidance.around(action, state[:3], float(state[3]))
+        )
+
     def fork(self) -> Self:
         """As `Policy.fork`."""
         other = copy.copy(self)
-        other.last, other._text, other._threads = None, "", None
+        other.last, other._state, other._text, other._threads = None, None, "", None
         other._avoidance = Avoidance()
         other._presence, other.declines = Presence(), False
         other._opinions = None if self._opinions is None else self._opinions.fork()
@@ -186,7 +194,7 @@ class Small(Policy):
 
     def _decide(self, frame: _Frame, output: Output) -> ActionChunk:
         """The action for a frame, from the network's output (n = 1)."""
-        self.last = output
+        self.last, self._state = output, frame.state
         action: ActionChunk = output.action[0]
         if not np.isfinite(action).all():
             raise NonFiniteAction(f"the model answered {action[0].tolist()} to the state {frame.state.tolist()}")

@@ -28,12 +28,9 @@ SELF_CONTAINED = ("small", "oracle", "noisy-oracle")
 """Those that need no file of the user's and no server: a file from somebody else may name them."""
 
 
-def reasoner_file(name: str) -> Path | None:
-    """The file of weights or answers of the package's reasoner of this name; none if it has none.
-
-    Raises `PolicyError` if the file is missing.
-    """
-    return None if name == NONE else registry.file_of("reasoner", name, REASONERS, REASONER_METHODS)
+def reasoner_files(name: str) -> tuple[Path, ...]:
+    """The files that the package's reasoner of this name answers by; raises `PolicyError` if one is missing."""
+    return () if name == NONE else registry.files_of("reasoner", name, REASONERS, REASONER_METHODS)
 
 
 def make_reasoner(name: str) -> Reasoner | None:

@@ -1,4 +1,5 @@
-"""The small reasoner: a panel reader, memory, arithmetic, and two networks that choose among the gates.
+"""The small reasoner: a panel reader, memory, arithmetic, and what chooses among the gates: two networks and, where
+panels show things, a table of concepts.
 
 It uses no privileged state: only frames, the instruction and its own earlier answers. Readings of several frames are
 averaged per gate; the gates of a task differ in colour, which identifies them. From earlier stages it remembers what
@@ -35,12 +36,13 @@ from cognitivedrone.models.reasoner_file import (
 )
 from cognitivedrone.models.words.concepts import Concepts, ConceptsModel, concepts_of, evidence
 from cognitivedrone.models.words.scene_tokens import SceneText
+from cognitivedrone.models.words.text_encoder import encoder_of
 from cognitivedrone.reasoners.scene_text import STAGES, ReadScene, SceneWriter, gate_of
 from cognitivedrone.tasks.directives import HOLD, looks_asked, write_directive
 from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Guidance, Image, SeenPanel
 
 _SEEN = 0.3  # minimum score of a visible gate or board
-_DECLINED, _NAMED = 0.4, 0.34  # least probability of the answer that no gate matches; of a gate, better than a guess
+_DECLINED, _NAMED = 0.4, 0.28  # least probability of the answer that no gate matches; of a gate, more than one of four
 _SELECTOR, _OTHERS = 0.8, 0.2  # weights of opinions; set, not learnt
 _LEAST, _FAINT = 1e-6, 1e-4  # shares of an answer and of a thing that are not ruled out
 _OF_THINGS = ("kind/thing", "kind/unknown")
@@ -58,7 +60,7 @@ class _Gate:
     attributes: Floats
     weight: float = 0.0
     u: float = 0.0
-    """Its last position in the image, pixels from the left."""
+    """Its last position in an image that shows all gates, pixels from the left."""
     box: tuple[float, float, float] | None = None
     """Centre and height of its panel in the newest frame, pixels, if it is there."""
     height: float = 0.0
@@ -112,13 +114,14 @@ class SmallReasoner(Reasoner):
         """The scene that the selector was asked about last, in words, and its answer."""
 
     @classmethod
-    def file_of(cls, folder: Path | str | None = None) -> Path:
-        """The panel reader's file, which identifies the reasoner in a run.
-
-        Raises `ModelError` if it is missing or too large.
-        """
-        found = _place_of(folder) / READER_FILE
-        check_model_file(found)  # a run hashes it before it is loaded
+    def file_of(cls, folder: Path | str | None = None) -> tuple[Path, ...]:
+        """Every file that it answers by; raises `ModelError` if one is missing or too large."""
+        place = _place_of(folder)
+        reader = place / READER_FILE
+        beside = (concepts_of(reader), classifier_of(reader), encoder_of(reader))
+        found = (reader, place / SELECTOR_FILE, place / LANGUAGE_FILE, *beside)
+        for file in found:
+            check_model_file(file)  # a run hashes it before it is loaded
         return found
 
     def reset(self, context: EpisodeContext) -> None:
@@ -155,10 +158,10 @@ class SmallReasoner(Reasoner):
         """
         self.look(image)
         gates = _by_place(self._stage)
-        self.seen = self._seen(gates, self._shown(gates))
+        _, scene, classes = self.read()
+        self.seen = self._seen(gates, scene.panels)
         if len(gates) < 3:
             raise ReasonerError("unsure", f"only {len(gates)} of 3 gates have been in view")
-        _, scene, classes = self.read()
         chosen = self.decide(instruction, scene, classes)
         self.seen = tuple(replace(panel, right=float(p)) for panel, p in zip(self.seen, chosen, strict=False))
         best = int(chosen.argmax())
@@ -263,6 +266,7 @@ class SmallReasoner(Reasoner):
     def _add(self, reading: PanelReading) -> None:
         """Add the readings of a frame."""
         known = reading.readings
+        together = bool((reading.boxes[:3, 3] >= _SEEN).all())
         for gate in self._stage.gates.values():
             gate.box = None
         for slot in range(3):
@@ -274,12 +278,13 @@ class SmallReasoner(Reasoner):
             # Nearer is clearer; illegible readings must not outweigh legible ones.
             weight = score * (min(height, 60.0) if legible else 0.01)
             gate = self._stage.gates.setdefault(
-                color, _Gate(np.zeros(LOOKS, np.float32), np.zeros(self._size, np.float32))
+                color, _Gate(np.zeros(LOOKS, np.float32), np.zeros(self._size, np.float32), u=u)
             )
+            gate.u = u if together else gate.u  # where it is beside the others shows only where all are in view
             gate.looks += weight * reading.looks[slot]
             gate.attributes += weight * known[slot]
             gate.weight += weight
-            gate.u, gate.height, gate.box = u, max(gate.height, height), (u, v, height)
+            gate.height, gate.box = max(gate.height, height), (u, v, height)
         _, v, height, score = reading.boxes[3].tolist()
         if score >= 0.5:
             # A sum cut by the image's edge, as the drone flies below it, reads as another.

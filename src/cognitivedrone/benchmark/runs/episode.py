@@ -13,6 +13,7 @@ from cognitivedrone.benchmark.runs.job import Job
 from cognitivedrone.benchmark.scores.run_types import Rollout
 from cognitivedrone.control.async_reasoner import SimulatedReasoner
 from cognitivedrone.control.calls import NO_WATCH, Watch, seed_of
+from cognitivedrone.control.closer_look import CloserLook
 from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.control.planning import Plans, plans_with
@@ -84,6 +85,7 @@ class PilotRunner:
                 drone,
                 self._mission,
                 reasoner=async_reasoner,
+                look=CloserLook.of(self.job.plan.pilot.look),
                 recorder=log,
                 latency_model=latency_model,
                 seed=policy_seed,

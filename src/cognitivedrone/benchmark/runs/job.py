@@ -21,7 +21,7 @@ from cognitivedrone.labels import load_pack
 from cognitivedrone.labels.folder import digest_of_labels
 from cognitivedrone.plan import PilotSpec, Scenario
 from cognitivedrone.policies import POLICIES, model_file
-from cognitivedrone.reasoners import NONE, REASONERS, reasoner_file
+from cognitivedrone.reasoners import NONE, REASONERS, reasoner_files
 from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.tasks import SUITES, Suite
 from cognitivedrone.tasks.scenario import suite_of
@@ -89,7 +89,7 @@ def resolve(plan: Plan, *, named: bool = True) -> Job:
     suite = suite_of(scenario, plan.episodes)
     delays = parse_delays(plan.latency)
     policy, reasoner = plan.pilot.policy, plan.pilot.reasoner
-    model, answers = (model_file(policy), reasoner_file(reasoner)) if named else (None, None)
+    model, answers = (model_file(policy), reasoner_files(reasoner)) if named else (None, ())
     autopilot = autopilot_file(plan.vehicle)
     labels = scenario.labels
     resolved = {
@@ -103,8 +103,9 @@ def resolve(plan: Plan, *, named: bool = True) -> Job:
         suite = _drawn(suite, pack, plan)
     options = plan.identity(resolved) | {"model": None if model is None else digest_of_file(model)}
     own = {"policy_code": own_module(policy, POLICIES), "reasoner_code": own_module(reasoner, REASONERS)}
-    optional = {"reasoner_model": answers, **(own if named else {}), "autopilot": autopilot}
-    options |= {key: digest_of_files(file) for key, file in optional.items() if file is not None}
+    optional = {**(own if named else {}), "autopilot": autopilot}
+    read = {"reasoner_model": answers, **{key: (file,) for key, file in optional.items() if file is not None}}
+    options |= {key: digest_of_files(*files) for key, files in read.items() if files}
     recorded = plan.pilot.shown
     facts = RunFacts(
         suite=SuiteFacts(suite.name, suite.digest, suite.n_tasks, None if suite is asked else asked.n_tasks),

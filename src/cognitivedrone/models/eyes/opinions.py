@@ -27,7 +27,6 @@ _RAREST = 1e-6  # the same for one of its classes
 _PAPER = (0.05, 0.2)  # share of paper up to which a picture fills its panel, and from which it is a drawing on paper
 _SMALLEST_PX = 16.0  # lower panels are not looked at
 _GROWN = 1.15  # since it was looked at last
-_JUMP = 1.0, 24.0  # movement from one frame to the next, in heights and in pixels, beyond which it is another panel
 
 Floats = NDArray[np.float32]
 
@@ -47,14 +46,12 @@ class Classifier(Protocol):
 
 @dataclass
 class _Panel:
-    """A panel: where it was seen last, and the sums of the answers so far."""
+    """A panel: the sums of the answers so far."""
 
-    place: tuple[float, float, float]
-    """Centre and height in the newest frame that showed it, pixels."""
-    asked_px: float
-    """Height when it was looked at last; 0 if never."""
     opinion: NDArray[np.float64]
     classes: NDArray[np.float64]
+    asked_px: float = 0.0
+    """Height when it was looked at last; 0 if never."""
     paper: float = 0.0
     answers: int = 0
 
@@ -104,41 +101,30 @@ class Opinions:
         At most `most` of those that have grown since they were asked about, the most grown first. Returns whether there
         is a new opinion.
         """
-        grown: list[tuple[float, int, NDArray[np.uint8]]] = []
+        grown: list[tuple[float, int, float, NDArray[np.uint8]]] = []
         for (u, v, height), color in zip(boxes.tolist(), colors, strict=True):
-            panel = self._followed(color, (u, v, height))
-            growth = height / max(panel.asked_px, 1.0)
+            panel = self._panels.get(color)
+            growth = height / max(panel.asked_px if panel else 0.0, 1.0)
             if height < _SMALLEST_PX or growth < _GROWN:
                 continue
             crop = crop_of(image, u, v, height)
             if crop is not None:
-                grown.append((growth, color, crop))
+                grown.append((growth, color, height, crop))
         asked = sorted(grown, key=lambda each: -each[0])[:most]
         if not asked:
             return False
-        answers = self._classifier.shares(np.stack([crop for _, _, crop in asked]))
-        for (_, color, crop), share, classes in zip(asked, *answers, strict=True):
-            panel = self._panels[color]
-            found = np.full(len(self._attributes.things), _FLOOR)
+        answers = self._classifier.shares(np.stack([crop for _, _, _, crop in asked]))
+        things = len(self._attributes.things)
+        for (_, color, height, crop), share, classes in zip(asked, *answers, strict=True):
+            panel = self._panels.setdefault(color, _Panel(np.zeros(things), np.zeros(CLASSES)))
+            found = np.full(things, _FLOOR)
             found[self._into] += share[self._from]
             panel.opinion += np.log(found)
             panel.classes += np.log(classes + _RAREST)
             panel.paper += on_paper(crop)
             panel.answers += 1
-            panel.asked_px = panel.place[2]
+            panel.asked_px = height
         return True
-
-    def _followed(self, color: int, place: tuple[float, float, float]) -> _Panel:
-        """The panel of a colour at its new place; another one if it has jumped there."""
-        known = self._panels.get(color)
-        if known is not None:
-            limit = _JUMP[0] * known.place[2] + _JUMP[1]
-            if max(abs(known.place[0] - place[0]), abs(known.place[1] - place[1])) <= limit:
-                known.place = place
-                return known
-        things = np.zeros(len(self._attributes.things))
-        found = self._panels[color] = _Panel(place, 0.0, things, np.zeros(CLASSES))
-        return found
 
 
 def on_paper(crop: NDArray[np.uint8]) -> float:

@@ -74,7 +74,7 @@ class Probabilities(nn.Module):
         self._spans = tuple(schema.groups.values())
         self._kinds = schema.groups["kind"]
         self.applies: Tensor
-        self.register_buffer("applies", torch.from_numpy(schema.applies()), persistent=False)
+        self.register_buffer("applies", torch.from_numpy(schema.applies), persistent=False)
 
     def forward(self, logits: Tensor) -> Tensor:
         """From (..., F) to (..., F)."""

@@ -66,7 +66,7 @@ class Readings:
         self._unknown = index.schema.names.index("kind/unknown")
         self._spans = tuple(index.groups.values())
         self._kinds = index.groups["kind"]
-        self._applies = index.schema.applies()
+        self._applies = index.schema.applies
 
     def moved(self, index: AttributeIndex) -> Readings:
         """The same answers for a longer list of attribute values; there are none yet for the new ones."""
