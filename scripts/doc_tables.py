@@ -58,6 +58,15 @@ PAST_OBSTACLES = (
 )
 PILOTS_AND_BASELINES = ("r1", "small", "colour_seeker_oracle", "colour_seeker", "race", "oracle", "hover")
 
+FLOWN: Final = frozenset(
+    (
+        *("ablation", "audit_r1", "audit_r1_300", "audit_race", "audit_small", "bench_time", "clutter", "first_score"),
+        *("gates", "harnesses", "inference", "live_page", "missions", "moving", "photographs", "real_time"),
+        *("reasoner_alone", "serving", "swaying", "teaching", "teaching_20"),
+    )
+)
+"""Measurements that depend on the packaged weights: pages say where those have changed since."""
+
 TABLES: Final[dict[str, Description]] = {
     # README.md
     "headline": by_suite(("r1", "small", "race"), README_SUITES),

@@ -15,12 +15,12 @@ import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from doc_tables import TABLES
+from doc_tables import FLOWN, TABLES
 from paper_figure import figure
 from score_tables import PAPER_SYSTEMS
 from table_kinds import Description, Store
 
-from cognitivedrone.benchmark.measurements import Measurement, in_markdown
+from cognitivedrone.benchmark.measurements import Measurement, in_markdown, shipped_weights
 from cognitivedrone.benchmark.scores.scoring import Summary
 from cognitivedrone.benchmark.submission import Submission
 
@@ -64,8 +64,19 @@ def caption(store: Store) -> Iterator[str]:
             files.setdefault(_facts(found), []).append(f"`{name}`")
         notes = [found.note for found in store.used.values() if isinstance(found, Measurement) and found.note]
         sources = "; ".join(f"{', '.join(names)}: {facts}" for facts, names in files.items()) + "."
+        if store.former:
+            notes.append(f"Flown before, with other weights than are shipped: {', '.join(store.former)}.")
+        flown = [name for name in store.used if Path(name).stem in FLOWN]
+        if before := [name for name in flown if getattr(store.used[name], "weights", "") != shipped_weights()]:
+            notes.append(
+                f"Measured before, or not known to be of the shipped weights: {', '.join(map(_quoted, before))}."
+            )
         yield " ".join([sources, *notes])
         yield ""
+
+
+def _quoted(name: str) -> str:
+    return f"`{Path(name).stem}`"
 
 
 def _facts(found: Measurement | Submission) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from table_kinds import NOT_MEASURED, Description, Store, Table, cell, own_options
+from table_kinds import NOT_MEASURED, Description, Store, Table, cell, is_former, own_options
 
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.scores.published import PUBLISHED
@@ -86,7 +86,8 @@ def all_runs(store: Store) -> Table:
         for run in store.runs(pilot):
             score = run.summary.overall
             given = share(score.pass_given_choice)
-            rows.append([f"`{flags_of(run)}`", f"`{pilot}`", *passed(score), given, run.finished[:10]])
+            before = ", before" * is_former(run)
+            rows.append([f"`{flags_of(run)}`", f"`{pilot}`", *passed(score), given, f"{run.finished[:10]}{before}"])
     heads = ["`cognitivedrone bench` with", "pilot", "passed", "rate", "95 % interval", "success given choice", "date"]
     return Table(heads, rows or [[NOT_MEASURED, *[""] * 6]])
 
@@ -103,7 +104,8 @@ def other_conditions(*pilots: str) -> Description:
                     continue
                 usual = store.summary(pilot, suite)
                 without = share(usual.overall.rate) if usual else NOT_MEASURED
-                rows.append([f"`{flags}`", f"`{pilot}`", *passed(run.summary.overall), without])
+                before = ", before" * is_former(run)
+                rows.append([f"`{flags}`{before}", f"`{pilot}`", *passed(run.summary.overall), without])
         heads = ["`cognitivedrone bench` with", "pilot", "passed", "rate", "95 % interval", "rate without"]
         return Table(heads, rows or [[NOT_MEASURED, *[""] * 5]])
 
@@ -113,7 +115,13 @@ def other_conditions(*pilots: str) -> Description:
 def flags_of(run: SubmittedRun) -> str:
     """What a run's command had besides the pilot."""
     flags = {"track": "--track", "guard": "--guard", "appearance": "--appearance {}", "airframe": "--airframe {}"}
-    flags |= {"place": "--place {}", "wind_m_s": "--wind {:g}", "latency": "--latency {}", "link": "--link {}"}
+    flags |= {
+        "place": "--place {}",
+        "wind_m_s": "--wind {:g}",
+        "latency": "--latency {}",
+        "link": "--link {}",
+        "look": "--look {}",
+    }
     flags["seed"] = "--seed {}"
     defaults = {name: default for name, (_, default) in Plan.identity_options().items()}
     given = {name: run.run.option(name) for name in flags if run.run.option(name) != defaults[name]}

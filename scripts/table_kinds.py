@@ -10,13 +10,18 @@ import statistics
 import string
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from cognitivedrone.benchmark.measurements import Measurement, markdown, read_measurement
+from cognitivedrone.benchmark.scores.results import FILES
 from cognitivedrone.benchmark.scores.scoring import Summary
 from cognitivedrone.benchmark.submission import Submission, SubmittedRun, read_submission
+from cognitivedrone.files import digest_of_file, digest_of_files
 from cognitivedrone.plan import Scenario
+from cognitivedrone.policies import POLICIES, model_file
+from cognitivedrone.reasoners import SELF_CONTAINED, reasoner_files
 from cognitivedrone.tasks.suites import CONDITIONS
 
 NOT_MEASURED = "not measured"
@@ -31,11 +36,13 @@ class Store:
         """By their paths in the project."""
         self.asked: set[str] = set()
         """Names of all files that were looked for, whether they are there or not."""
+        self.former: dict[str, None] = {}
+        """Runs that were used since `begin`, and flew with other weights than are shipped."""
         self._pilots: dict[str, Submission | None] = {}
 
     def begin(self) -> None:
         """Forget what was used."""
-        self.used = {}
+        self.used, self.former = {}, {}
 
     def measured(self, name: str) -> Measurement:
         """The figures in results/NAME.json."""
@@ -50,8 +57,13 @@ class Store:
         return self.measured(name).rows if (self.results / f"{name}.json").exists() else ()
 
     def runs(self, pilot: str) -> tuple[SubmittedRun, ...]:
-        """The runs in results/PILOT.json; none where there is no such file yet."""
+        """The runs in results/PILOT.json, and in results/PILOT_before.json those that were not flown again since."""
         self.asked.add(pilot)
+        now, before = self._runs(pilot), self._runs(f"{pilot}_before")
+        flown = [(run.run.suite.name, run.run.options) for run in now]
+        return now + tuple(run for run in before if not any(_alike(run, *each) for each in flown))
+
+    def _runs(self, pilot: str) -> tuple[SubmittedRun, ...]:
         path = self.results / f"{pilot}.json"
         if pilot not in self._pilots:
             self._pilots[pilot] = read_submission(path) if path.exists() else None
@@ -65,6 +77,7 @@ class Store:
         """The files in leaderboard/."""
         found = {path.name: read_submission(path) for path in sorted(self.leaderboard.glob("*.json"))}
         self.used |= {f"leaderboard/{name}": submission for name, submission in found.items()}
+        self.former |= {f"`{name}`": None for name, each in found.items() if any(map(is_former, each.runs))}
         return [*found.values()]
 
     def summary(self, pilot: str, suite: str, **options: object) -> Summary | None:
@@ -73,7 +86,33 @@ class Store:
         """
         options = options or own_options(suite)
         runs = [run for run in self.runs(pilot) if run.run.suite.name == suite and run.flown_with(**options)]
+        if runs and is_former(runs[0]):
+            self.former[f"`{pilot}` on `{suite}`"] = None
         return runs[0].summary if runs else None
+
+
+def _alike(run: SubmittedRun, suite: str, options: Mapping[str, Any]) -> bool:
+    """Whether a run is of this suite, with these options but for the weights."""
+    others = {key: value for key, value in options.items() if key not in FILES}
+    return run.run.suite.name == suite and run.flown_with(**{**{key: run.run.option(key) for key in FILES}, **others})
+
+
+def is_former(run: SubmittedRun) -> bool:
+    """Whether a run of packaged pilots flew with other weights than are shipped."""
+    now = {"model": _policy_weights(run.run.policy), "reasoner_model": _reasoner_weights(run.run.reasoner)}
+    return any(digest and run.run.option(key) != digest for key, digest in now.items())
+
+
+@cache
+def _policy_weights(policy: str) -> str:
+    file = model_file(policy) if policy in POLICIES else None
+    return digest_of_file(file) if file else ""
+
+
+@cache
+def _reasoner_weights(reasoner: str) -> str:
+    files = reasoner_files(reasoner) if reasoner in SELF_CONTAINED else ()
+    return digest_of_files(*files) if files else ""
 
 
 def own_options(suite: str) -> dict[str, object]:

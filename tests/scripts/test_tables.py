@@ -63,7 +63,7 @@ def test_every_file_that_a_table_needs_is_there_or_comes_out_of_the_script() -> 
     store = Store(ROOT)
     for describe in TABLES.values():
         describe(store)
-    script = (ROOT / "runs" / "reproduce.sh").read_text()
+    script = "".join((ROOT / "runs" / f"{name}.sh").read_text() for name in ("reproduce", "measure"))
     made = {*re.findall(r"^ *(?:measure|bench) (\w+) ", script, flags=re.MULTILINE)}
     made |= {"reasoner_alone", "r1_latency", "bench_time"} & {*re.findall(r"results/(\w+)\.json", script)}
     made |= {f"recorded_{flights}" for flights in re.search(r"sets=\((.*?)\)", script)[1].split()}

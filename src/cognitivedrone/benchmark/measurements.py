@@ -12,12 +12,14 @@ import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
 from cognitivedrone.benchmark.runs.provenance import platform_facts
 from cognitivedrone.benchmark.scores.codec import decode, dumps, encode, read_document
 from cognitivedrone.benchmark.scores.results import versions, write_whole
+from cognitivedrone.files import digest_of_file
 from cognitivedrone.text.printable import shown_address
 
 SCHEMA: Final = "cognitivedrone.measurement/1"
@@ -48,6 +50,8 @@ class Measurement:
     out; null says that what was waited for did not happen."""
     note: str = field(default="", metadata={"json": "where set"})
     """What else a reader of the file must know."""
+    weights: str = field(default="", metadata={"json": "where set"})
+    """`shipped_weights` of then; empty where nobody wrote it down."""
 
 
 def keep(
@@ -84,7 +88,13 @@ def measurement(
     known = facts.get("commit", "none")
     day = finished[:10] or datetime.now(UTC).date().isoformat()
     commit = None if known == "none" else known
-    return Measurement(what, command, machine_of(facts), day, commit, seed, versions(), tuple(rows))
+    weights = shipped_weights()
+    return Measurement(what, command, machine_of(facts), day, commit, seed, versions(), tuple(rows), weights=weights)
+
+
+def shipped_weights() -> str:
+    """What identifies the packaged weights: the beginning of the SHA-256 of their manifest."""
+    return digest_of_file(Path(str(resources.files("cognitivedrone.models"))) / "weights" / "manifest.json")[:12]
 
 
 def machine_of(facts: Mapping[str, str]) -> str:
