@@ -28,6 +28,7 @@ def asked(sentence: str) -> set[str]:
         ("My daughter's birthday is tomorrow, she adores penguins, so please fly to the penguin", "animal/penguin"),
         ("hav u seen teh elefnt? go their", "animal/elephant"),
         ("flytothebanana", "food/banana"),
+        ("fly to something you can eat", "food/bread"),  # no frog, which eats flies
         ("the monky eating the bananna", "animal/monkey"),
         ("the dog, no wait, the cat", "animal/cat"),
         ("Go to the apple... sorry, I mean the pear", "food/pear"),

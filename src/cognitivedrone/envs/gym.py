@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Literal, TypeAlias, get_args
 import gymnasium
 import numpy as np
 
+from cognitivedrone.envs.learning import Observe, Progress, Reward, learns_by, state_space, states_of
 from cognitivedrone.envs.options import (
     Info,
     action_space,
@@ -84,7 +85,8 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
     `StageResult`s so far as `results`. `reset(options={"episode": i})` flies one chosen episode of the suite, and
     `reset(options={"episode": i, "seed": n})` the one that the benchmark flies as episode i with `--seed n`.
     Raises `TaskError`, `LabelError`, `SimulationError` or `UsageError` for a suite, labels, conditions or an option
-    that cannot be, and `NotReset` for a step before the first reset.
+    that cannot be, and `NotReset` for a step before the first reset. `observe="state"` and `reward="progress"` are for
+    learning to fly (`envs.learning`): both know the right gate.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
@@ -100,17 +102,21 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         render_mode: str | None = None,
         camera: Camera = "drone",
         down_camera: bool = False,
+        observe: Observe = "camera",
+        reward: Reward = "passed",
         **options: Any,
     ) -> None:
         scenario = scenario_of(type(self).__init__, suite, options)
+        self._states, self._shaped = learns_by(observe, reward)
         self.suite = tasks_of(suite, scenario)
-        self.observation_space = observation_space(down_camera=down_camera)
+        self.observation_space = state_space() if self._states else observation_space(down_camera=down_camera)  # type: ignore[assignment]
         self.action_space = action_space()  # type: ignore[assignment]
         self.view = TaskView(render_mode, camera, find_airframe(scenario.airframe))
         self.render_mode = render_mode
         self._down = down_camera
         self._worlds = Worlds.of(scenario, time_limit_s=time_limit_s)
         (self.track_runner,) = self._worlds.runners
+        self._progress = Progress(self.track_runner)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], Info]:
         """Begin an episode, drawn from the seed or given as `options["episode"]`, with `options["seed"]` as well.
@@ -122,6 +128,7 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         super().reset(seed=seed)
         episode, draw = drawn(self.suite, self.np_random, wanted)
         self._worlds.begin(0, self.suite, episode, draw)
+        self._progress.begin()
         self.view.cut()
         return self._observe(), self._info(episode_index=episode)
 
@@ -131,7 +138,9 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         check_actions(action, (4,))
         self._worlds.command(np.asarray(action)[None])
         (result,) = self._worlds.advance()
-        return self._observe(), *score(result, self.track_runner.finished), self._info()
+        reward, terminated, truncated = score(result, self.track_runner.finished)
+        reward = self._progress.score(result) if self._shaped else reward
+        return self._observe(), reward, terminated, truncated, self._info()
 
     def render(self) -> Any:
         """The view, (256, 256, 3) uint8 or, from behind, (360, 640, 3); None without a `render_mode`."""
@@ -155,7 +164,9 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         check_begun(self.track_runner, "truth")
         return self.track_runner.truth()
 
-    def _observe(self) -> dict[str, Any]:
+    def _observe(self) -> Any:
+        if self._states:
+            return states_of([self.track_runner])[0]
         return {name: values[0] for name, values in self._worlds.observe(down=self._down).items()}
 
     def _info(self, **more: Any) -> Info:

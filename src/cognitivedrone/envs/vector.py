@@ -9,6 +9,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from cognitivedrone.envs.gym import Camera, TaskView, score, tasks_of
+from cognitivedrone.envs.learning import Observe, Progress, Reward, learns_by, state_space, states_of
 from cognitivedrone.envs.options import (
     ANY_EPISODE,
     RESET_MASK,
@@ -65,9 +66,12 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
         render_mode: str | None = None,
         camera: Camera = "drone",
         down_camera: bool = False,
+        observe: Observe = "camera",
+        reward: Reward = "passed",
         **options: Any,
     ) -> None:
         scenario = scenario_of(type(self).__init__, suite, options)
+        self._states, self._shaped = learns_by(observe, reward)
         if num_envs < 1:
             raise SimulationError(f"num_envs is {num_envs}; it must be at least 1")
         if max_episode_steps is not None and max_episode_steps < 1 and max_episode_steps != -1:
@@ -83,7 +87,7 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}  # type: ignore[misc]
         self.suite = tasks_of(suite, scenario)
         self.render_mode = render_mode
-        self.single_observation_space = observation_space(down_camera=down_camera)
+        self.single_observation_space = state_space() if self._states else observation_space(down_camera=down_camera)
         self.single_action_space = action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -92,6 +96,7 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
         self._camera, self._copy, self._down = camera, copy, down_camera
         threads = threads or min(cores(), num_envs)
         self._worlds = Worlds.of(scenario, num_envs, time_limit_s=time_limit_s, threads=threads)
+        self._progress = [Progress(runner) for runner in self._worlds.runners]
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]
         self._begun, self._ended = np.zeros(num_envs, dtype=bool), np.zeros(num_envs, dtype=bool)
         self._steps = np.zeros(num_envs, dtype=np.int64)
@@ -131,6 +136,9 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
             self._begin(int(world), ANY_EPISODE)
         scores = [score(result, world.finished) for result, world in zip(results, self._worlds.runners, strict=True)]
         rewards, terminated, truncated = map(np.array, zip(*scores, strict=True))
+        if self._shaped:
+            told = [each.score(result) for each, result in zip(self._progress, results, strict=True)]
+            rewards = np.where(begins, 0.0, told)
         if self._most_steps is not None:
             truncated |= self._steps >= self._most_steps
         self._ended = terminated | truncated
@@ -165,10 +173,13 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
     def _begin(self, world: int, wanted: Episode) -> None:
         episode, draw = drawn(self.suite, self._rngs[world], wanted)
         self._worlds.begin(world, self.suite, episode, draw)
+        self._progress[world].begin()
         self._begun[world], self._ended[world], self._steps[world] = True, False, 0
         self.views[world].cut()
 
-    def _observe(self) -> dict[str, Any]:
+    def _observe(self) -> Any:
+        if self._states:
+            return states_of(self._worlds.runners)
         observation = self._worlds.observe(self._images, down=self._down)
         return observation | {"image": self._images.copy()} if self._copy else observation
 

@@ -15,6 +15,8 @@ _SHORTENED = (
     (r"\b(?:ca|wo)n'?t\b|\bcannot\b", "can not"),
     (r"'(?:s|re|ve|ll|d|m)\b", ""),
     (r"\bnon(?:[- ]|(?=red\b|green\b|blue\b|round\b))", "not "),
+    (r"\bfly (?=(?:to|through|towards?|over|at|into)\b)", "go "),  # it is no insect
+    (r"\b(?:some|any)thing (?:to eat|edible|(?:that )?(?:i|you|we|one|people) (?:can |could )?eat)\b", "food"),
     (r"\b(go|fly|head|on|over|thru|through|me) 2 (?=(?:the|teh|that|this|a|an|my)\b)", r"\1 to "),
 )
 _CORRECTIONS = re.compile(
