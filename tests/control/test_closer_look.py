@@ -136,10 +136,10 @@ def test_after_the_look_one_answer_that_no_gate_matches_declines():
     assert (drone.velocity == 0).all()
 
 
-def test_without_an_answer_even_then_the_policy_flies_by_itself():
+def test_without_an_answer_even_from_near_it_declines():
     drone, notes, _ = flown(lambda _: ("", 0.1), policy=Steady(1.0, 0.0, 0.0, 0.0))
-    assert "declined" not in notes.events
-    assert drone.pose[0] > 5
+    assert notes.events.index("declined") > notes.events.index("sure")
+    assert drone.pose[0] < 1.5
 
 
 def test_it_goes_no_nearer_to_a_panel_that_is_large_and_around_what_is_in_the_way():

@@ -16,7 +16,7 @@ from cognitivedrone.control.directive_filter import DirectiveFilter
 from cognitivedrone.control.landing import Lander
 from cognitivedrone.control.latency import LatencyModel
 from cognitivedrone.interfaces import Clock, Drone, Policy, Recorder
-from cognitivedrone.tasks.directives import declines
+from cognitivedrone.tasks.directives import HOLD, declines
 from cognitivedrone.tasks.missions import lands
 from cognitivedrone.types import (
     CONTROL_HZ,
@@ -192,6 +192,8 @@ def _poll(
         log.note(Event(now - start, "kept", answer.guidance.directive, age))
     elif answer.guidance is None:
         log.note(Event(now - start, answer.fault or "garbage", answer.message, age))
+        if look.ended and answer.fault == "unsure":  # from near, what it cannot name is not there
+            directive_filter.update(Guidance(HOLD, None, 1.0), answer.question.time, looked=True)
     else:
         what = directive_filter.update(answer.guidance, answer.question.time, looked=look.ended)
         log.note(Event(now - start, what, answer.guidance.directive, age))
