@@ -18,7 +18,7 @@ from cognitivedrone.sim.airframe import GRAVITY, IRIS, ROTORS, Airframe
 from cognitivedrone.sim.drawing.views import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.types import IMAGE_SIZE
 from cognitivedrone.vehicles.gazebo.worlds.sdf import add, material, numbers, paint
-from cognitivedrone.world.appearance import PLAIN, RGB, Appearance
+from cognitivedrone.world.appearance import RGB, Appearance
 
 NAME: Final = "iris"
 CAMERA_TOPIC: Final = "/cognitivedrone/camera"
@@ -129,14 +129,6 @@ def _imu() -> ET.Element:
     add(sensor, "always_on", "true")
     add(sensor, "update_rate", numbers(IMU_HZ))
     return sensor
-
-
-def camera_stand(name: str, topic: str) -> ET.Element:
-    """A static `<model>` of nothing but the vehicle's camera, where it is on a vehicle at the same pose."""
-    model = ET.Element("model", name=name)
-    add(model, "static", "true")
-    add(model, "link", name="link").append(_camera(PLAIN, topic))
-    return model
 
 
 def _camera(appearance: Appearance, topic: str) -> ET.Element:
