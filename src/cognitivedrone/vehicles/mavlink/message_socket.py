@@ -1,4 +1,4 @@
-"""One end of a local connection that carries whole messages: between pilot and guard, and to the writer of the log."""
+"""One end of a local connection that carries whole messages, between pilot and guard."""
 
 from __future__ import annotations
 
@@ -66,9 +66,7 @@ class MessageSocket:
         self._end.close()
 
 
-def connected_pair(buffer: int | None = None) -> tuple[MessageSocket, MessageSocket]:
-    """Two ends; the first has a send buffer of so many bytes, of which the kernel may grant less."""
+def connected_pair() -> tuple[MessageSocket, MessageSocket]:
+    """Two ends."""
     ours, theirs, framed = message_pair()
-    if buffer is not None:
-        ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, buffer)
     return MessageSocket(ours, framed), MessageSocket(theirs, framed)

@@ -27,7 +27,7 @@ from cognitivedrone.vehicles.mavlink.client.core import PAUSE_S, FlightCore, Lan
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.mavlink.client.health import FlightGuard
 from cognitivedrone.vehicles.mavlink.client.link.connection import MavlinkConnection
-from cognitivedrone.vehicles.mavlink.client.link.tlog import PacketLog, TlogWriter
+from cognitivedrone.vehicles.mavlink.client.link.tlog import PacketLog, open_log
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry
 
 
@@ -43,10 +43,9 @@ class MavlinkDrone:
         self.camera = camera
         with ExitStack() as undo:
             undo.callback(camera.close)
-            writer = None if self.config.tlog is None else TlogWriter(self.config.tlog)
-            if writer is not None:
-                undo.callback(writer.close)
-            self._core = FlightCore(url, guard, self.config, log=PacketLog(writer.sink if writer else None).put)
+            log = PacketLog(None if self.config.tlog is None else open_log(self.config.tlog))
+            undo.callback(log.close)
+            self._core = FlightCore(url, guard, self.config, log=log.put)
             undo.callback(self._core.close)
             self._core.meet()
             self.vehicle, self.simulated = self._core.met.vehicle, self._core.met.simulated

@@ -27,7 +27,7 @@ def main() -> int:
     end, framed = socket.socket(fileno=settings["pilot"]), settings["framed"]
     end.setblocking(False)
     pilot = MessageSocket(end, framed)
-    log = PacketLog(MessageSocket(socket.socket(fileno=settings["log"]), framed) if settings["log"] >= 0 else None)
+    log = PacketLog(open(settings["log"], "wb", buffering=0) if settings["log"] >= 0 else None)  # noqa: PTH123, SIM115
     come_first()
     try:
         guard = GuardProcess(

@@ -176,9 +176,9 @@ class Snapshot:
 class Reply:
     """A message that is sent once."""
 
-    kind: Literal["met", "checklist", "flying", "failed", "cut", "text", "words"]
+    kind: Literal["met", "checklist", "flying", "failed", "cut", "text", "log", "words"]
     """The vehicle was met; the checklist; the climb is over; what was asked for failed; the link was cut; a text of the
-    vehicle; the guard's final report."""
+    vehicle; what of the log could not be written; the guard's final report."""
     content: Any = None
     """JSON."""
 
