@@ -16,13 +16,12 @@ from typing import Any
 import numpy as np
 import pytest
 from fuzz import packed
-from peer import CALM, FORWARD, MODES, PARAMETERS, SURE, Peer, StillCamera, connect, flying, playing
+from peer import CALM, FORWARD, MODES, PARAMETERS, SURE, MavlinkDrone, Peer, StillCamera, connect, flying, playing
 from pymavlink.dialects.v20 import ardupilotmega as m
 
 from cognitivedrone.control.safety import SafetyConfig, Timeouts
 from cognitivedrone.errors import LinkError
 from cognitivedrone.vehicles.camera import ChangingCamera
-from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 
 LEEWAY_S = 60.0
 """For a busy machine. How soon the rules speak is looked at on virtual time, in tests/control."""

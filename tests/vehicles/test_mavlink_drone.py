@@ -20,6 +20,7 @@ from peer import (
     MODES,
     PARAMETERS,
     SURE,
+    MavlinkDrone,
     StillCamera,
     connect,
     flying,
@@ -34,7 +35,6 @@ from cognitivedrone.control.safety import Guard, Timeouts
 from cognitivedrone.errors import LinkError, MissingExtra
 from cognitivedrone.interfaces import Policy
 from cognitivedrone.sim.simulator import Simulator
-from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.mavlink.server.modes import Mode
 from cognitivedrone.vehicles.mavlink.server.vehicle import STEP_S, SimulatedVehicle, VehicleConfig

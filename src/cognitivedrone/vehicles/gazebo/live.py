@@ -2,10 +2,9 @@
 
     with GazeboWorld(Path("gazebo/assets")) as world:
         world.show(stage, load_pack())
-        drone = MavlinkDrone("tcp:127.0.0.1:5760", world.camera(), Guard(), MavlinkConfig(clock="vehicle"))
         world.state()
 
-Flight commands go to ArduPilot, through `MavlinkDrone`. The services are those of gz-sim's UserCommands and
+Flight commands go to ArduPilot, over MAVLink. The services are those of gz-sim's UserCommands and
 SceneBroadcaster systems. They answer once a command is queued, so this module watches the poses until the command has
 been carried out.
 """
@@ -229,7 +228,7 @@ class GazeboWorld:
         return TruePath(self.bindings, topic, config.vehicle, first_s=config.first_s, silence_s=config.silence_s)
 
     def camera(self) -> GazeboCamera:
-        """The vehicle's camera, for a `MavlinkDrone`, which closes it; raises `CameraError` if it sends no frames."""
+        """The vehicle's camera; the caller closes it. Raises `CameraError` if it sends no frames."""
         return GazeboCamera(
             self.bindings, self.config.camera_topic, first_s=self.config.first_s, silence_s=self.config.silence_s
         )

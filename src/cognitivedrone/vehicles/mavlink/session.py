@@ -13,8 +13,7 @@ from cognitivedrone.errors import CameraError, LinkError
 from cognitivedrone.plan import SafetySpec, VehicleSpec
 from cognitivedrone.types import Track
 from cognitivedrone.vehicles.camera import Camera, ChangingCamera, Shot, open_camera
-from cognitivedrone.vehicles.contract import ClockedDrone, Confirm, Request, Status
-from cognitivedrone.vehicles.external import LinkReport
+from cognitivedrone.vehicles.contract import ClockedDrone, Confirm, LinkReport, Request, Status
 from cognitivedrone.vehicles.gazebo.bindings import load_bindings
 from cognitivedrone.vehicles.gazebo.sensing import GazeboCamera
 from cognitivedrone.vehicles.gazebo.worlds.vehicle import CAMERA_TOPIC

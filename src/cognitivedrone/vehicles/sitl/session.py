@@ -23,11 +23,10 @@ from cognitivedrone.sim.dynamics import BatchedFlight
 from cognitivedrone.types import Action, DroneState, FloatArray, Image, Observation, Stage, Track
 from cognitivedrone.vehicles import autopilot_file
 from cognitivedrone.vehicles.camera import Shot
-from cognitivedrone.vehicles.contract import ClockedDrone, Confirm, Request, Status, Vehicle
-from cognitivedrone.vehicles.external import ExternalFlight, ExternalWorld, LinkReport
+from cognitivedrone.vehicles.contract import ClockedDrone, Confirm, LinkReport, Request, Status, Vehicle
 from cognitivedrone.vehicles.mavlink.guard.drone import SupervisedDrone
 from cognitivedrone.vehicles.mavlink.session import MavlinkVehicle, TimestampedCamera, mavlink_config, safety_rules
-from cognitivedrone.vehicles.simulated import SimulatedFlight
+from cognitivedrone.vehicles.simulated import ExternalFlight, ExternalWorld, SimulatedFlight
 from cognitivedrone.vehicles.sitl.arducopter import ArduCopter
 from cognitivedrone.vehicles.sitl.flight import SitlFlight
 from cognitivedrone.vehicles.sitl.json_interface import SitlServer, serving

@@ -78,7 +78,7 @@ def parameters(airframe: Airframe = IRIS) -> str:
     """The parameter file that adapts ArduCopter's defaults to this vehicle.
 
     The thrust of Gazebo's rotors is proportional to the square of the command (MOT_THST_EXPO 1), over the whole PWM
-    range. `MavlinkDrone` requires the last two parameters.
+    range. The checklist requires the last two parameters.
     """
     hover = airframe.mass * GRAVITY / (4 * airframe.max_thrust)
     values = {

@@ -147,7 +147,7 @@ class _Tcp(Port):
                 except OSError:
                     data = b""
                 if not data:
-                    self._connections.pop(peer).close()
+                    self._drop(peer)
                     break
                 yield peer, data
 
@@ -160,13 +160,17 @@ class _Tcp(Port):
         except OSError:
             whole = False
         if not whole:
-            self._connections.pop(peer).close()
+            self._drop(peer)
 
     def peers(self) -> tuple[Address, ...]:
         return tuple(self._connections)
 
     def sockets(self) -> list[socket.socket]:
         return [self._listener, *self._connections.values()]
+
+    def _drop(self, peer: Address) -> None:
+        if (connection := self._connections.pop(peer, None)) is not None:  # it may have gone while it was read
+            connection.close()
 
     def _accept(self) -> None:
         while True:
