@@ -25,13 +25,12 @@ from waiting import soon
 
 from cognitivedrone.control.safety import SafetyConfig, Timeouts
 from cognitivedrone.errors import LinkError
-from cognitivedrone.vehicles.mavlink import message_socket
 from cognitivedrone.vehicles.mavlink.client.checks.preflight import FRESH_S
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.mavlink.client.link import tlog
 from cognitivedrone.vehicles.mavlink.client.link.tlog import PacketLog
 from cognitivedrone.vehicles.mavlink.client.link.transport import LARGEST_BACKLOG, open_transport
-from cognitivedrone.vehicles.mavlink.guard import process
+from cognitivedrone.vehicles.mavlink.guard import messages, process
 from cognitivedrone.vehicles.mavlink.guard.drone import SupervisedDrone
 from cognitivedrone.vehicles.mavlink.guard.messages import (
     LARGEST_RATE,
@@ -40,9 +39,9 @@ from cognitivedrone.vehicles.mavlink.guard.messages import (
     Inbox,
     Kind,
     Message,
+    MessageSocket,
     pack,
 )
-from cognitivedrone.vehicles.mavlink.message_socket import MessageSocket
 
 CALM = SafetyConfig(link=Timeouts(2, 4), state=Timeouts(2, 4), policy=Timeouts(2, 4), camera=Timeouts(2, 4))
 """For tests of something else, on machines that are busy."""
@@ -136,7 +135,7 @@ def pilot(peer: Peer, after: str = "pass", rules: str = QUICK) -> Iterator[subpr
 @pytest.fixture
 def streams(monkeypatch):
     """Between pilot, guard and log as on macOS: no sockets of messages."""
-    monkeypatch.setattr(message_socket, "message_pair", lambda: (*socket.socketpair(), True))
+    monkeypatch.setattr(messages, "message_pair", lambda: (*socket.socketpair(), True))
 
 
 @pytest.mark.usefixtures("streams")
@@ -174,13 +173,17 @@ def test_a_flight_from_arming_to_landing(tmp_path):
             assert drone.decision.kind == "fly"
             assert drone.over is None
         assert "ArduCopter 4.6" in lists[0]
+        assert "80% left" in lists[0]
+        assert [c.command for c in peer.orders(176, 400, 22)] == [176, 400, 22, 176]
         assert peer.modes_ordered() == [MODES["GUIDED"], MODES["LAND"]]
         assert (drone.over, drone.log_trouble) == ("the flight is over", "")
         assert drone._process.returncode == process.LANDED
         assert drone.camera.closed
+    # Heading north at 1 m/s, 0.5 east, 0.25 down; half a metre up is where it stood.
     assert seen.velocity == pytest.approx([1.0, -0.5, -0.25])
     assert seen.height == pytest.approx(1.5)
     assert seen.yaw_rate == pytest.approx(-0.25)
+    assert seen.image.shape == (256, 256, 3)
     assert kinds_logged(log) >= FLOWN
 
 
@@ -203,6 +206,7 @@ def test_what_is_not_fit_to_fly_is_reported_as_it_is_in_this_process():
         with pytest.raises(LinkError, match="not confirmed"):
             drone.take_off(lambda _: False)
         assert not peer.part.armed
+        assert peer.orders(176, 400, 22) == []
 
 
 def test_a_link_that_cannot_be_opened():

@@ -5,15 +5,15 @@ from contextlib import closing, suppress
 
 import pytest
 
-from cognitivedrone.vehicles.mavlink import message_socket
 from cognitivedrone.vehicles.mavlink.client.link.tlog import PacketLog, open_log
-from cognitivedrone.vehicles.mavlink.message_socket import MessageSocket, connected_pair
+from cognitivedrone.vehicles.mavlink.guard import messages
+from cognitivedrone.vehicles.mavlink.guard.messages import MessageSocket, connected_pair
 
 
 @pytest.fixture(params=[False, True], ids=["messages", "streams"], autouse=True)
 def framed(request, monkeypatch):
     if request.param:
-        monkeypatch.setattr(message_socket, "message_pair", lambda: (*socket.socketpair(), True))
+        monkeypatch.setattr(messages, "message_pair", lambda: (*socket.socketpair(), True))
     return request.param
 
 

@@ -25,7 +25,6 @@ from cognitivedrone.control.safety.health import Health
 from cognitivedrone.errors import LinkError
 from cognitivedrone.types import Action, FloatArray
 from cognitivedrone.vehicles.checklist import Checklist
-from cognitivedrone.vehicles.mavlink.client.checks.inspection import inspect
 from cognitivedrone.vehicles.mavlink.client.checks.parameters import ParameterChanges, journal_of
 from cognitivedrone.vehicles.mavlink.client.handshake import (
     SETPOINT_S,
@@ -34,6 +33,7 @@ from cognitivedrone.vehicles.mavlink.client.handshake import (
     Met,
     climb,
     fields_of,
+    inspect,
     meet,
     must_beat,
 )

@@ -16,9 +16,8 @@ from cognitivedrone.system import come_first, end_of
 from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.mavlink.client.link.tlog import PacketLog
-from cognitivedrone.vehicles.mavlink.guard.messages import Reply, from_json
+from cognitivedrone.vehicles.mavlink.guard.messages import MessageSocket, Reply, from_json
 from cognitivedrone.vehicles.mavlink.guard.process import FAILED, GuardProcess
-from cognitivedrone.vehicles.mavlink.message_socket import MessageSocket
 
 
 def main() -> int:

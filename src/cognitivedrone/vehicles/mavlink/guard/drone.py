@@ -37,8 +37,17 @@ from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS
 from cognitivedrone.vehicles.mavlink.client.core import PAUSE_S, LandingMode
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig, Met
 from cognitivedrone.vehicles.mavlink.client.link.tlog import open_log
-from cognitivedrone.vehicles.mavlink.guard.messages import Kind, Reply, Snapshot, from_json, pack, to_json, unpack
-from cognitivedrone.vehicles.mavlink.message_socket import MessageSocket, connected_pair
+from cognitivedrone.vehicles.mavlink.guard.messages import (
+    Kind,
+    MessageSocket,
+    Reply,
+    Snapshot,
+    connected_pair,
+    from_json,
+    pack,
+    to_json,
+    unpack,
+)
 from cognitivedrone.vehicles.mavlink.telemetry import (
     LANDING_SILENT_S,
     TEXTS_KEPT,

@@ -34,11 +34,11 @@ from cognitivedrone.vehicles.mavlink.guard.messages import (
     Inbox,
     Kind,
     Message,
+    MessageSocket,
     Reply,
     Snapshot,
     to_json,
 )
-from cognitivedrone.vehicles.mavlink.message_socket import MessageSocket
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, Text
 
 LOST_S = 0.5
