@@ -75,8 +75,6 @@ class FlightModes:
         self.mode = Mode.STABILIZE
         self.armed = False
         self.landed = True
-        self.not_ready = ""
-        """Why the pre-arm checks do not pass, as text; empty if they pass."""
         self.voltage = math.inf
         """Of the battery, V."""
         self.sticks = np.zeros(4)
@@ -118,8 +116,6 @@ class FlightModes:
             return None
         if self.mode not in _ARMABLE:
             return f"Arm: {self.mode.name} is not a mode to arm in"
-        if self.not_ready and self.parameters["ARMING_CHECK"]:
-            return self.not_ready
         self.armed, self._idle_since = True, self._time
         self._say(Severity.INFO, "Arming motors")
         return None

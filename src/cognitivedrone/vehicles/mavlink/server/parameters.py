@@ -34,7 +34,7 @@ def _fixed(value: float, kind: Kind) -> Parameter:
 _GAINS = AutopilotGains()
 
 TABLE: dict[str, Parameter] = {
-    "ARMING_CHECK": Parameter(1, 0, 1, "int8"),
+    "ARMING_CHECK": _fixed(1, "int8"),  # it is always ready
     "BATT_FS_LOW_ACT": Parameter(0, 0, 2, "int8"),
     "BATT_LOW_VOLT": Parameter(10.8, 0, 12.6, "float"),
     "DISARM_DELAY": Parameter(10, 0, 127, "int8"),
@@ -69,9 +69,8 @@ TABLE: dict[str, Parameter] = {
 class Parameters:
     """The values of one vehicle. Inside it they are asked for as in `TABLE`; all else here is as others see them."""
 
-    def __init__(self, system_id: int, firmware: tuple[int, int] = (4, 6)) -> None:
+    def __init__(self, firmware: tuple[int, int] = (4, 6)) -> None:
         self._values = {name: entry.default for name, entry in TABLE.items()}
-        self._values["SYSID_THISMAV"] = float(system_id)
         self._ours = {name_in(name, firmware): name for name in TABLE}
         self.names = tuple(sorted(self._ours))
 

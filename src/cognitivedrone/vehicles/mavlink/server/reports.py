@@ -96,8 +96,8 @@ def _gps_raw(m: Any, s: VehicleSnapshot) -> Any:
     north, east, _ = s.velocity
     course = round(math.degrees(math.atan2(east, north)) * 100) % 36000
     speed = min(65534, round(math.hypot(north, east) * 100))
-    fix, satellites = (m.GPS_FIX_TYPE_NO_FIX, 0) if s.modes.not_ready else (m.GPS_FIX_TYPE_RTK_FIXED, 16)
-    return m.MAVLink_gps_raw_int_message(round(s.time * 1e6), fix, *s.place, 50, 80, speed, course, satellites)
+    fix = m.GPS_FIX_TYPE_RTK_FIXED
+    return m.MAVLink_gps_raw_int_message(round(s.time * 1e6), fix, *s.place, 50, 80, speed, course, 16)
 
 
 def _vfr_hud(m: Any, s: VehicleSnapshot) -> Any:
@@ -112,17 +112,16 @@ def battery_volts(left: float) -> float:
 
 
 def _sys_status(m: Any, s: VehicleSnapshot) -> Any:
-    needs_position = m.MAV_SYS_STATUS_AHRS | m.MAV_SYS_STATUS_PREARM_CHECK
     present = (
-        needs_position
+        m.MAV_SYS_STATUS_AHRS
+        | m.MAV_SYS_STATUS_PREARM_CHECK
         | m.MAV_SYS_STATUS_SENSOR_3D_GYRO
         | m.MAV_SYS_STATUS_SENSOR_3D_ACCEL
         | m.MAV_SYS_STATUS_SENSOR_GPS
         | m.MAV_SYS_STATUS_SENSOR_BATTERY
         | m.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS
     )
-    healthy = present & ~needs_position if s.modes.not_ready else present
-    healthy |= m.MAV_SYS_STATUS_GEOFENCE  # ground stations take the missing bit for a breach
+    healthy = present | m.MAV_SYS_STATUS_GEOFENCE  # ground stations take the missing bit for a breach
     battery = round(battery_volts(s.battery) * 1000), round((HOVER_A if s.flying else 0.5) * 100)
     return m.MAVLink_sys_status_message(
         present, present, healthy, 200, *battery, round(s.battery * 100), 0, 0, 0, 0, 0, 0
@@ -145,8 +144,8 @@ def _home(m: Any, s: VehicleSnapshot) -> Any:
     return m.MAVLink_home_position_message(*place, 0.0, 0.0, 0.0, level, 0.0, 0.0, 0.0, round(s.time * 1e6))
 
 
-def _ekf(m: Any, s: VehicleSnapshot) -> Any:
-    return m.MAVLink_ekf_status_report_message(0 if s.modes.not_ready else _EKF_HEALTHY, 0.0, 0.0, 0.0, 0.0, 0.0)
+def _ekf(m: Any, _s: VehicleSnapshot) -> Any:
+    return m.MAVLink_ekf_status_report_message(_EKF_HEALTHY, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def _target(m: Any, s: VehicleSnapshot) -> Any:

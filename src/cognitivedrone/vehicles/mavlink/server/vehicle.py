@@ -32,8 +32,8 @@ from cognitivedrone.vehicles.mavlink.telemetry import dialect
 STEP_TICKS = BatchedFlight.SAMPLE_TICKS
 STEP_S = STEP_TICKS * BatchedFlight.TICK_S
 """Period of `SimulatedVehicle.step`, s."""
-COMPONENT = 1
-"""MAV_COMP_ID_AUTOPILOT1."""
+SYSTEM, COMPONENT = 1, 1
+"""The vehicle's ids; the component is MAV_COMP_ID_AUTOPILOT1."""
 MAX_MESSAGES = 200
 """Maximum number of messages processed per port and step; the rest of a flood is dropped."""
 FORGET_S = 30.0
@@ -50,19 +50,12 @@ class VehicleConfig:
     links: tuple[str, ...] = ("udpout:127.0.0.1:14550", "tcpin:127.0.0.1:5760")
     """`udpout:host:port` sends first, as a listening ground station expects; `udpin` and `tcpin` listen. There is no
     authentication: use addresses other than the loopback only on purpose."""
-    system_id: int = 1
     firmware: tuple[int, int] = (4, 6)
     """The version of ArduCopter that it says it is: since 4.7 parameters have other names, units and senses."""
-    wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Steady, world, m/s."""
     battery_minutes: float = 15.0
     """Flight time of a full battery."""
-    ready_after_s: float = 0.0
-    """Arming is refused until then, as while a real estimator settles."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.system_id <= 254:
-            raise RunError(f"system id {self.system_id} is not valid; give 1 to 254 (255 is the ground station's)")
         if not self.links:
             raise RunError("a simulated vehicle needs a link, such as udpout:127.0.0.1:14550")
 
@@ -93,7 +86,7 @@ class SimulatedVehicle:
         self._m = dialect()
         self._lock = threading.RLock()
         self._steps = 0
-        self.parameters = Parameters(self.config.system_id, self.config.firmware)
+        self.parameters = Parameters(self.config.firmware)
         self.modes = FlightModes(self.parameters, self._stand(), self.say)
         self._commands = Commands(self._m, self)
         self._peers: list[Peer] = []
@@ -104,7 +97,6 @@ class SimulatedVehicle:
         except RunError:
             self.close()
             raise
-        self._check_ready()
 
     def __enter__(self) -> SimulatedVehicle:
         return self
@@ -122,7 +114,6 @@ class SimulatedVehicle:
         for _ in range(count):
             with self._lock:
                 self.listen()
-                self._check_ready()
                 state = self.simulator.state(0)
                 self.modes.voltage = battery_volts(self.battery)
                 self.simulator.command(0, self.modes.update(state, self.time))
@@ -189,16 +180,12 @@ class SimulatedVehicle:
         flight = self.simulator.flight
         here = flight.position[0]
         low = np.array([here[0], here[1], self.simulator.airframe.hull_radius])
-        flight.reset(0, low, float(yaw_of(flight.quaternion[0])), wind=np.array(self.config.wind))
+        flight.reset(0, low, float(yaw_of(flight.quaternion[0])))
         for _ in range(round(_SETTLE_S / STEP_S)):
             self.simulator.command(0, np.array([0.0, 0.0, -0.5, 0.0]))
             flight.advance(STEP_TICKS)
         position: FloatArray = flight.position[0].copy()
         return position
-
-    def _check_ready(self) -> None:
-        left = self.config.ready_after_s - self.time
-        self.modes.not_ready = "" if left <= 0 else f"PreArm: estimator settles for {left:.0f} s more"
 
     def _listen_at(self, port: Port) -> None:
         heeded = 0
@@ -229,15 +216,14 @@ class SimulatedVehicle:
         """Whether a message is addressed to this vehicle or to all, and is not its own."""
         system = getattr(message, "target_system", 0)
         component = getattr(message, "target_component", 0)
-        mine = self.config.system_id
-        return message.get_srcSystem() != mine and system in (0, mine) and component in (0, COMPONENT)
+        return message.get_srcSystem() != SYSTEM and system in (0, SYSTEM) and component in (0, COMPONENT)
 
     def _find(self, port: Port, address: Address) -> Peer | None:
         return next((peer for peer in self._peers if peer.port is port and peer.address == address), None)
 
     def _new_peer(self, port: Port, address: Address) -> Peer:
         peer = Peer(port, address, None, self.time)
-        peer.mav = self._m.MAVLink(peer, srcSystem=self.config.system_id, srcComponent=COMPONENT)
+        peer.mav = self._m.MAVLink(peer, srcSystem=SYSTEM, srcComponent=COMPONENT)
         peer.mav.robust_parsing = True
         return peer
 
