@@ -19,7 +19,7 @@ from typing import Any
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from sdf_reading import parse, values
 
-from cognitivedrone.vehicles.gazebo.bindings import MODULES, RELEASES, Bindings, load_bindings
+from cognitivedrone.vehicles.gazebo.bindings import MODULES, RELEASES, Bindings, ServiceProcess, load_bindings
 
 FIELD = descriptor_pb2.FieldDescriptorProto
 FIELDS: dict[str, list[tuple[str, Any]]] = {
@@ -243,8 +243,8 @@ class Node:
         return expected is not None, reply
 
 
-class OtherProcess:
-    """As `ServiceProcess`: a process that subscribes to nothing."""
+class OtherProcess(ServiceProcess):
+    """A process that subscribes to nothing."""
 
     def __init__(self, gazebo: FakeGazebo) -> None:
         self._gazebo = gazebo

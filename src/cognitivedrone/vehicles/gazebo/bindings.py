@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from cognitivedrone.errors import GazeboError, did_you_mean
 from cognitivedrone.system import own_session
@@ -62,18 +62,6 @@ def release_named(name: str) -> Release:
 _END_S: Final = 5.0
 
 
-class Services(Protocol):
-    """Something that calls services."""
-
-    def request(self, service: str, request: bytes, asks: str, answers: str, timeout_ms: int) -> bytes | None:
-        """Call a service with a message, of the type named `asks`; returns the one of type `answers`, none if late."""
-        ...
-
-    def close(self) -> None:
-        """Call no more."""
-        ...
-
-
 class ServiceProcess:
     """A process that calls services of gz-transport, one at a time. Call `close` at the end.
 
@@ -92,7 +80,10 @@ class ServiceProcess:
         self._one_at_a_time = threading.Lock()
 
     def request(self, service: str, request: bytes, asks: str, answers: str, timeout_ms: int) -> bytes | None:
-        """As `Services`; raises `GazeboError` if the process has ended."""
+        """Call a service with a message, of the type named `asks`; returns the one of type `answers`, none if late.
+
+        Raises `GazeboError` if the process has ended.
+        """
         call = json.dumps([service, request.hex(), asks, answers, timeout_ms])
         inlet, outlet = self._process.stdin, self._process.stdout
         if inlet is None or outlet is None:
@@ -148,7 +139,7 @@ class Bindings:
     new_node: Callable[[], Any]
     """A `gz.transport` node: `subscribe` and `unsubscribe`."""
     load: Callable[[str], Any]
-    new_services: Callable[[], Services]
+    new_services: Callable[[], ServiceProcess]
     """What calls services: a node of ours cannot while it, or another, is subscribed to a topic."""
 
     def message(self, name: str) -> Any:
@@ -159,7 +150,7 @@ class Bindings:
 def load_bindings(
     release: str | None = None,
     load: Callable[[str], Any] = importlib.import_module,
-    services: Callable[[str], Services] = ServiceProcess,
+    services: Callable[[str], ServiceProcess] = ServiceProcess,
 ) -> Bindings:
     """The bindings of a release, or the newest installed ones.
 
