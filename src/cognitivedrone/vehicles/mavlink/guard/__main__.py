@@ -26,8 +26,8 @@ def main() -> int:
     end, framed = socket.socket(fileno=settings["pilot"]), settings["framed"]
     end.setblocking(False)
     pilot = MessageSocket(end, framed)
+    come_first()  # before the log has its thread, which holds the interpreter at times and must not be left waiting
     log = PacketLog(open(settings["log"], "wb", buffering=0) if settings["log"] >= 0 else None)  # noqa: PTH123, SIM115
-    come_first()
     try:
         guard = GuardProcess(
             pilot,
