@@ -158,7 +158,7 @@ def kill_at_random(setting: Setting) -> Row:
     """A SIGKILL at a random moment of real runs: collections in this process and of the command, and benchmarks."""
     row = Row("collect and bench, killed at random")
     whole, whole_run = setting.folder / "whole", setting.folder / "run"
-    fly = partial(collect_into, executor=fly_all)
+    fly = partial(collect_into, play=fly_all)
     _run(partial(fly, whole))
     _run(partial(bench_for_real, whole_run))
     rng = random.Random(0)

@@ -54,11 +54,11 @@ from peer import StillCamera
 from cognitivedrone.control.safety import SafetyConfig
 from cognitivedrone.errors import CognitiveDroneError
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
-from cognitivedrone.vehicles.mavlink.guard.drone import GuardedDrone
+from cognitivedrone.vehicles.mavlink.guard.drone import SupervisedDrone
 
 config = MavlinkConfig(set_parameters={consent}, tlog=Path({log!r}))
 try:
-    with GuardedDrone({url!r}, StillCamera(), SafetyConfig(), config) as drone:
+    with SupervisedDrone({url!r}, StillCamera(), SafetyConfig(), config) as drone:
         print("guard", drone.process, flush=True)
         drone.take_off(lambda checklist: True)
         print("flying", flush=True)

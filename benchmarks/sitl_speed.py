@@ -25,7 +25,7 @@ from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import CONTROL_HZ
-from cognitivedrone.vehicles.external import ExternalWorld
+from cognitivedrone.vehicles.simulated import ExternalWorld
 from cognitivedrone.vehicles.sitl.arducopter import BINARY_VARIABLE
 from cognitivedrone.vehicles.sitl.flight import SitlFlight
 from cognitivedrone.vehicles.sitl.json_interface import SitlServer

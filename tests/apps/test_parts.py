@@ -33,7 +33,7 @@ from cognitivedrone.system.interrupts import until_asked
 from cognitivedrone.types import Event, EventKind, Guidance, Observation
 from cognitivedrone.vehicles import check_vehicle
 from cognitivedrone.vehicles.camera import open_camera
-from cognitivedrone.vehicles.mavlink.client.link.tlog import TlogWriter
+from cognitivedrone.vehicles.mavlink.client.link.tlog import open_log
 
 ACTION = np.array([1.25, -0.5, 0.25, 0.4], dtype=np.float32)
 
@@ -279,7 +279,7 @@ def test_a_flight_is_not_logged_through_links(tmp_path):
     (out / "flight.json").unlink()
     (out / "flight.json").symlink_to(theirs)
     log.close()
-    TlogWriter(out / "flight.tlog").close()
+    open_log(out / "flight.tlog").close()
     assert theirs.read_text() == "precious"
     assert not [name for name in (*names, "flight.json") if (out / name).is_symlink()]
 

@@ -44,7 +44,6 @@ fly --link mavlink:udp:127.0.0.1:9 "Fly through the red gate"
 sim --mavlink --links tcpin:127.0.0.1:PORT
 gazebo export --task open-v1:smoke/0000 --out world
 gazebo check world/nothing.sdf
-gazebo selftest --out selftest
 predict --flights nowhere
 serve --policy small --port PORT
 play --port PORT --no-browser --out play

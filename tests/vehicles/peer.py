@@ -5,8 +5,8 @@ from __future__ import annotations
 import socket
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,13 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as m
 
 from cognitivedrone.control.safety import Guard, SafetyConfig, Timeouts
+from cognitivedrone.types import Action, Observation
 from cognitivedrone.vehicles.camera import Camera, Shot
-from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
+from cognitivedrone.vehicles.checklist import Checklist
+from cognitivedrone.vehicles.mavlink.client.core import FlightCore, LandingMode
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
+from cognitivedrone.vehicles.mavlink.client.health import FlightGuard
+from cognitivedrone.vehicles.mavlink.client.link.tlog import PacketLog, open_log
 
 MODES = {"STABILIZE": 0, "GUIDED": 4, "LOITER": 5, "RTL": 6, "LAND": 9, "BRAKE": 17}
 REMOTE_BIT = m.MAV_SYS_STATUS_SENSOR_RC_RECEIVER
@@ -328,6 +332,66 @@ def playing(**part: Any) -> Iterator[Peer]:
         yield peer
     finally:
         peer.close()
+
+
+class MavlinkDrone:
+    """What `SupervisedDrone` is, with the rules of safety in this process; the camera is its own."""
+
+    def __init__(self, url: str, camera: Camera, guard: FlightGuard, config: MavlinkConfig | None = None) -> None:
+        self.camera = camera
+        config = config or MavlinkConfig()
+        with ExitStack() as undo:
+            undo.callback(camera.close)
+            log = PacketLog(None if config.tlog is None else open_log(config.tlog))
+            undo.callback(log.close)
+            self._core = FlightCore(url, guard, config, log=log.put)
+            undo.callback(self._core.close)
+            self._core.meet()
+            self._undo = undo.pop_all()
+        self.link, self.vehicle, self.simulated = self._core.link, self._core.met.vehicle, self._core.met.simulated
+
+    def __enter__(self) -> MavlinkDrone:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def __getattr__(self, name: str) -> Any:
+        """`telemetry`, `decision` and `over` of the flight."""
+        return getattr(self._core, name)
+
+    def checklist(self) -> Checklist:
+        return self._core.checklist(self.camera.read().age_s)
+
+    def take_off(self, confirm: Callable[[Checklist], bool]) -> None:
+        self._core.take_off(confirm, lambda: self.camera.read().age_s)
+
+    def observe(self) -> Observation:
+        self.link.check()
+        shot, state = self.camera.read(), self.telemetry
+        self._core.seen(shot.age_s)
+        height = float(state.position[2] - self._core.home[2])
+        return Observation(shot.image, "", state.heading_velocity, height, state.yaw_rate, self.now())
+
+    def send(self, action: Action) -> Action:
+        self.link.check()
+        return self._core.command(action)
+
+    def now(self) -> float:
+        return self._core.clock() - self._core.start
+
+    resolution_s = 0.05
+
+    def sleep_until(self, at: float) -> None:
+        assert self.link.until(lambda: self.now() >= at, 60.0)
+
+    def land(self, mode: LandingMode = "LAND") -> None:
+        self._core.land("the flight is over", mode)
+        self._core.wait_for_landing()
+
+    def close(self) -> None:
+        with self._undo:
+            self._core.end()
 
 
 def connect(

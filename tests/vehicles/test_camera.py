@@ -22,7 +22,7 @@ from PIL import Image as Pictures
 
 from cognitivedrone.errors import CameraError
 from cognitivedrone.pictures import MAX_PICTURE_BYTES
-from cognitivedrone.vehicles.camera import CameraConfig, ChangingCamera, Shot, cropped_fov, fit, open_camera
+from cognitivedrone.vehicles.camera import CameraConfig, Shot, WatchedCamera, cropped_fov, fit, open_camera
 
 
 def write_video(path: Path, *, frames: int = 10, rate: int = 20, size: tuple[int, int] = (320, 240)) -> Path:
@@ -427,7 +427,7 @@ class Pictured:
 
 
 def test_a_camera_that_repeats_one_frame_grows_old():
-    camera = ChangingCamera(Pictured((1.0, 7), (1.1, 7), (1.6, 7), (1.7, 8), (1.8, 8), (2.0, 8), (2.1, 8)))
+    camera = WatchedCamera(Pictured((1.0, 7), (1.1, 7), (1.6, 7), (1.7, 8), (1.8, 8), (2.0, 8), (2.1, 8)))
     assert [camera.read().age_s for _ in range(2)] == pytest.approx([0.05, 0.05])  # on the ground
     camera.active = True
     assert [camera.read().age_s for _ in range(4)] == pytest.approx([0.55, 0.05, 0.15, 0.35])

@@ -16,13 +16,12 @@ from typing import Any
 import numpy as np
 import pytest
 from fuzz import packed
-from peer import CALM, FORWARD, MODES, PARAMETERS, SURE, Peer, StillCamera, connect, flying, playing
+from peer import CALM, FORWARD, MODES, PARAMETERS, SURE, MavlinkDrone, Peer, StillCamera, connect, flying, playing
 from pymavlink.dialects.v20 import ardupilotmega as m
 
 from cognitivedrone.control.safety import SafetyConfig, Timeouts
 from cognitivedrone.errors import LinkError
-from cognitivedrone.vehicles.camera import ChangingCamera
-from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
+from cognitivedrone.vehicles.camera import WatchedCamera
 
 LEEWAY_S = 60.0
 """For a busy machine. How soon the rules speak is looked at on virtual time, in tests/control."""
@@ -136,7 +135,7 @@ def test_a_vehicle_that_never_answers_is_not_flown():
 
 
 def test_a_camera_that_repeats_one_frame_lands():
-    camera = ChangingCamera(StillCamera())
+    camera = WatchedCamera(StillCamera())
     with playing() as peer, flying(peer, watching(camera=Timeouts(0.3, 0.6)), camera=camera) as drone:
         until(drone, lambda: drone.observe() is not None and flies(drone), 1.0)
         camera.active = True

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fuzz import packed
-from peer import CALM, FORWARD, MODES, Peer, StillCamera, connect, playing
+from peer import CALM, FORWARD, MODES, MavlinkDrone, Peer, StillCamera, connect, playing
 from peer import flying as in_flight
 from pymavlink.dialects.v20 import ardupilotmega as m
 from waiting import soon
@@ -21,7 +21,6 @@ from cognitivedrone.errors import LinkError
 from cognitivedrone.vehicles.mavlink import telemetry
 from cognitivedrone.vehicles.mavlink.autopilot import PX4
 from cognitivedrone.vehicles.mavlink.client import core
-from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 from cognitivedrone.vehicles.mavlink.client.handshake import ENDS_BY_ITSELF, MavlinkConfig, must_beat
 from cognitivedrone.vehicles.mavlink.client.health import grounded
 from cognitivedrone.vehicles.mavlink.client.link.heartbeats import (

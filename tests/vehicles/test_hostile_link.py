@@ -1,20 +1,36 @@
-"""Packets of other kinds, and floods of them, at both ends of a link: nothing grows without end, and nothing steers."""
+"""Whatever arrives at either end of a link: nothing but what the vehicle itself says changes what we hold true.
+
+All that the rules judge by is decoded, nothing grows without end, and nothing steers.
+"""
 
 from __future__ import annotations
 
+import random
 import tracemalloc
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from fuzz import VEHICLE, connected, packed
+from fuzz import BEAT, STRANGER, VEHICLE, connected, packed, random_packet, strangers
 from peer import FORWARD, MODES, connect, playing
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as m
 
+from cognitivedrone.control.safety import Memory, SafetyConfig, decide, order, shape
 from cognitivedrone.errors import LinkError
 from cognitivedrone.sim.simulator import Simulator
-from cognitivedrone.vehicles.mavlink.client.link.traffic import Traffic, noticed
+from cognitivedrone.vehicles.mavlink.client.health import Asked, Baseline, health_of
+from cognitivedrone.vehicles.mavlink.client.link import connection
+from cognitivedrone.vehicles.mavlink.client.link.connection import MavlinkConnection
+from cognitivedrone.vehicles.mavlink.client.link.traffic import (
+    NEEDED,
+    OTHERS_HZ,
+    MessageDecoder,
+    Traffic,
+    noticed,
+    number_of,
+)
 from cognitivedrone.vehicles.mavlink.server.modes import Mode
 from cognitivedrone.vehicles.mavlink.server.vehicle import SimulatedVehicle, VehicleConfig
 
@@ -155,3 +171,117 @@ def test_the_simulated_vehicle_is_steered_by_no_mission_item_and_filled_by_no_fl
         assert np.linalg.norm(vehicle.state().position - before) < 0.2
         assert (vehicle.modes.mode, vehicle.modes.armed) == (Mode.GUIDED, True)
         assert {n: vehicle.parameters[n] for n in vehicle.parameters} == parameters
+
+
+# What changes what we hold true.
+
+
+LOITER = m.MAVLink_heartbeat_message(2, 3, 0x81, 5, 4, 3)
+
+
+def test_a_vehicle_may_move_but_what_queued_up_during_a_stop_of_ours_is_no_move(monkeypatch):
+    link, transport = connected()
+
+    def hear(message: m.MAVLink_message, peer: int) -> str:
+        transport.feed(packed(message), peer)
+        link.step(0.0)
+        return link.telemetry.mode
+
+    monkeypatch.setattr(connection, "MOVED_S", 0.0)
+    assert hear(LOITER, STRANGER) == "GUIDED"
+    assert hear(BEAT, VEHICLE) == "GUIDED"
+    assert hear(LOITER, STRANGER) == "GUIDED"
+    monkeypatch.setattr(connection, "ALONE_S", 0.0)
+    assert hear(LOITER, STRANGER) == "LOITER"
+    link.close()
+
+
+def held_true(link: MavlinkConnection) -> tuple[object, ...]:
+    telemetry = replace(link.telemetry, received_at=0, heartbeat_at=0, position=np.zeros(3), velocity=np.zeros(3))
+    traffic = replace(link.traffic, ignored=0, broken=0, impostor_at=0)
+    known = np.isfinite(link.telemetry.position).all()
+    return str(telemetry), known, traffic, link.vehicle, {k: v for k, v in link._replies.items() if k != "HEARTBEAT"}
+
+
+def test_nothing_but_counters_change():
+    link, transport = connected()
+    before = held_true(link)
+    for number, (packet, peer) in enumerate(strangers(random.Random(5), 2000)):
+        if number % 20 == 0:
+            transport.feed(packed(BEAT), VEHICLE)
+            link.step(0.0)
+        transport.feed(packet, peer)
+        link.step(0.0)
+        link.check()
+    assert held_true(link) == before
+    assert link.traffic.broken > 500
+    assert link.traffic.ignored > 200
+    assert link.traffic.impostor_at > 0
+    link.close()
+
+
+def test_whatever_the_vehicle_itself_says_the_rules_have_an_answer():
+    link, transport = connected()
+    rng, memory, config = random.Random(6), Memory(), SafetyConfig()
+    for number in range(2000):
+        transport.feed(random_packet(rng, 1, 1, set()), VEHICLE)
+        link.step(0.0)
+        link.check()
+        asked = Asked(number * 0.02, np.ones(4), 0.0, 0.0, frozenset({link.telemetry.mode}))
+        health = health_of(link.telemetry, link.traffic, Baseline(), asked, link.telemetry.received_at)
+        decision, memory = decide(health, memory, config)
+        order(decision, health, config)
+        assert np.isfinite(shape(health, np.zeros(4), 0.1, config)).all()
+    assert memory.floor.kind in ("brake", "land", "hands_off")
+    link.close()
+
+
+# What is decoded: all that the rules judge by, and only so much of the rest.
+
+
+TEXT = m.MAVLink_statustext_message(3, b"again")
+NAMES = {
+    *("HEARTBEAT", "SYS_STATUS", "ATTITUDE", "LOCAL_POSITION_NED", "RC_CHANNELS", "COMMAND_ACK", "TIMESYNC"),
+    *("POSITION_TARGET_LOCAL_NED", "EKF_STATUS_REPORT", "ESTIMATOR_STATUS", "EXTENDED_SYS_STATE"),
+}
+
+
+def test_what_is_always_decoded_is_what_the_rules_judge_by():
+    assert {m.mavlink_map[number].msgname for number in NEEDED} == NAMES
+
+
+@pytest.mark.parametrize("old", [True, False])
+def test_the_number_of_a_packet_is_read_without_decoding_it(old):
+    for message in (BEAT, TEXT, m.MAVLink_extended_sys_state_message(0, 1)):
+        packet = bytes(message.pack(m.MAVLink(None), force_mavlink1=old))
+        assert number_of(packet) == message.get_msgId()
+        assert number_of(packet + b"\0") is None
+        assert number_of(packet[:-1]) is None
+    assert number_of(b"") is None
+
+
+def test_a_signed_packet_is_read_as_well():
+    mav = m.MAVLink(None)
+    mav.signing.secret_key, mav.signing.sign_outgoing = b"k" * 32, True
+    assert number_of(bytes(TEXT.pack(mav))) == 253
+
+
+def test_a_flood_of_texts_is_dropped_and_every_heartbeat_between_them_is_decoded():
+    decoder, texts, beats = MessageDecoder(datagrams=True), 0, 0
+    for step in range(5000):
+        now = 100 + step / 5000
+        texts += len(list(decoder.messages(packed(TEXT), now)))
+        if step % 10 == 0:
+            beats += len(list(decoder.messages(packed(BEAT), now)))
+    assert beats == 500
+    assert OTHERS_HZ <= texts <= 2 * OTHERS_HZ + 1
+    assert decoder.dropped == 5000 - texts
+    parameter = packed(m.MAVLink_param_value_message(b"FS_OPTIONS", 16.0, 9, 1, 0))
+    assert len(list(decoder.messages(parameter, 101.0))) == 1  # another kind
+    assert len(list(decoder.messages(packed(TEXT), 102.0))) == 1
+
+
+def test_a_stream_is_decoded_across_its_reads():
+    decoder, data = MessageDecoder(datagrams=False), packed(BEAT) + packed(TEXT)
+    found = [message.get_type() for byte in data for message in decoder.messages(bytes([byte]), 0.0)]
+    assert found == ["HEARTBEAT", "STATUSTEXT"]

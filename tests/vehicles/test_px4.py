@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import peer as peers
 import pytest
-from peer import CALM, FORWARD, SURE
+from peer import CALM, FORWARD, SURE, MavlinkDrone
 from px4_peer import MODES, PX4_PARAMETERS, PX4Peer, playing_px4
 from pymavlink.dialects.v20 import ardupilotmega as m
 from waiting import soon
@@ -20,7 +20,6 @@ from cognitivedrone.errors import LinkError
 from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, PX4
 from cognitivedrone.vehicles.mavlink.client.checks.expected import PX4_PARAMETERS as EXPECTED
 from cognitivedrone.vehicles.mavlink.client.checks.preflight import Facts, build_checklist, corrections
-from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.mavlink.client.link.traffic import Traffic
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, updated

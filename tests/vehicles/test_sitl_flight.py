@@ -20,8 +20,9 @@ from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, Start
 from cognitivedrone.sim.dynamics import BatchedFlight
 from cognitivedrone.types import DroneState
-from cognitivedrone.vehicles.external import LinkReport, placed
-from cognitivedrone.vehicles.sitl.flight import STILL_M_S, SitlFlight
+from cognitivedrone.vehicles.contract import LinkReport
+from cognitivedrone.vehicles.simulated import placed
+from cognitivedrone.vehicles.sitl.flight import SitlFlight
 
 NOWHERE = Path("arducopter")
 
@@ -85,10 +86,10 @@ def test_it_hovers_at_the_start_wherever_it_has_been(flight, vehicles, place, ya
     fly(flight, (2.0, 1.0, 0.5, 0.8), 2.0)
     flight.begin(Start(place, yaw))
     assert flight.state().position[:2] == pytest.approx(place[:2], abs=1e-9)
-    assert flight.state().position[2] == pytest.approx(place[2], abs=STILL_M_S)
+    assert flight.state().position[2] == pytest.approx(place[2], abs=SitlFlight.STILL_M_S)
     assert flight.state().position[2] == pytest.approx(vehicles[0].flight.position[0, 2], abs=1e-12)
     assert yaw_of(flight.state().quaternion) == pytest.approx(yaw, abs=1e-9)
-    assert np.linalg.norm(flight.state().velocity) < STILL_M_S
+    assert np.linalg.norm(flight.state().velocity) < SitlFlight.STILL_M_S
     path = fly(flight, (1.5, 0.0, 0.0, 0.0), 2.0)
     forward = path[-1, :2] - place[:2]
     assert np.linalg.norm(forward) > 1.0
@@ -160,7 +161,7 @@ def test_a_vehicle_that_is_lost_ends_the_flight_and_the_next_has_another(flight,
 
 
 def test_what_never_hovers_is_reported(vehicles, monkeypatch):
-    monkeypatch.setattr("cognitivedrone.vehicles.sitl.flight.HOVER_S", 1.0)
+    monkeypatch.setattr(SitlFlight, "HOVER_S", 1.0)
 
     def start() -> FakeVehicle:
         vehicles.append(FakeVehicle())
@@ -222,7 +223,7 @@ def test_a_real_arducopter_hovers_at_every_start_and_stays_ours():
             ((0.0, 0.0, 1.0), 0.0, 3.0),
         ):
             flight.begin(Start(place, yaw, (0.0, wind, 0.0)))
-            assert flight.state().position == pytest.approx(place, abs=STILL_M_S)
+            assert flight.state().position == pytest.approx(place, abs=SitlFlight.STILL_M_S)
             path = fly(flight, (1.0, 0.0, 0.0, 0.0), 3.0)
             ahead = path[-1, :2] - place[:2]
             assert 1.8 < np.linalg.norm(ahead) < 3.0

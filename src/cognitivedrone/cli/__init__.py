@@ -59,7 +59,6 @@ COMMANDS: dict[str, dict[str, tuple[str, str]]] = {
         "sim": ("flying:sim", "serve the simulator as a MAVLink vehicle"),
         "gazebo export": ("flying:export_world", "write tasks as worlds for Gazebo"),
         "gazebo check": ("flying:check_world", "check worlds with Gazebo's own parser"),
-        "gazebo selftest": ("flying:selftest", "check the Gazebo of this machine"),
     },
     "serve": {
         "serve": ("serving:serve", "serve a policy and a reasoner to remote clients"),

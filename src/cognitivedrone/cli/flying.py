@@ -19,9 +19,6 @@ from cognitivedrone.text.printable import visible, wrapped
 if TYPE_CHECKING:
     from cognitivedrone.play.flight import FlightPage
 
-OUTCOMES = ("passed", "failed", "skipped")
-"""Of a check of `gazebo selftest`."""
-
 
 def fly(plan: Annotated[Flat[FlyPlan], tyro.conf.arg(name="")]) -> None:
     """Fly a drone by an instruction, in real time: our simulator, ArduPilot SITL or a vehicle over MAVLink.
@@ -140,32 +137,3 @@ def check_world(files: tyro.conf.Positional[tuple[Path, ...]]) -> None:
     from cognitivedrone.vehicles.gazebo.worlds.export import check as check_files
 
     print(visible(f"{len(files)} passed {check_files(files)}"))  # noqa: T201
-
-
-def selftest(
-    out: Path,
-    arducopter: Path | None = None,
-) -> None:
-    """Start Gazebo on this machine, check all that a flight in it depends on, and end it.
-
-    Prints a line for every check; the folder gets selftest.json, pictures from Gazebo beside ours, and the logs. Exit
-    code 0: no check failed; 1: one did; 2: Gazebo or its Python bindings are missing. For example:
-
-      cognitivedrone gazebo selftest --out selftest --arducopter ~/ardupilot/build/sitl/bin/arducopter
-
-    Args:
-        out: New folder to write.
-        arducopter: ArduCopter binary for SITL; by default the environment variable ARDUCOPTER. Without one, the checks
-            in flight are skipped.
-    """
-    from cognitivedrone.vehicles.gazebo.selftest import Check
-    from cognitivedrone.vehicles.gazebo.selftest import selftest as run_checks
-
-    def report_check(check: Check) -> None:
-        text = ": ".join(part for part in (check.figure, check.reason) if part)
-        print(visible(f"{check.name:<10} {check.outcome:<8} {text}"), flush=True)  # noqa: T201
-
-    report = run_checks(out, arducopter=arducopter, report_check=report_check)
-    counts = {outcome: sum(check.outcome == outcome for check in report.checks) for outcome in OUTCOMES}
-    print(visible(f"{', '.join(f'{n} {outcome}' for outcome, n in counts.items())}; see {out}"))  # noqa: T201
-    sys.exit(1 if report.failed else 0)

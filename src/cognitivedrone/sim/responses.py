@@ -86,7 +86,7 @@ ARDUCOPTER: dict[str, Figures] = {
 
 
 class Motion(Protocol):
-    """A drone in motion, such as `vehicles.external.ExternalFlight`."""
+    """A drone in motion, such as `vehicles.simulated.ExternalFlight`."""
 
     def begin(self, start: Start) -> None:
         """Hover at `start`."""

@@ -325,7 +325,7 @@ def inheriting(descriptors: Sequence[int]) -> dict[str, Any]:
     return {} if sys.platform == "win32" else {"pass_fds": tuple(descriptors)}
 
 
-def tell_session(leader: int, what: Literal["TERM", "KILL", "STOP", "CONT"]) -> None:
+def tell_session(leader: int, what: Literal["TERM", "KILL"]) -> None:
     """Send a signal to a program of `own_session` and all that it started; on Windows each one ends it alone."""
     with suppress(ProcessLookupError):
         if sys.platform == "win32":

@@ -84,8 +84,8 @@ class CameraConfig:
     """Time limit to open a source and get its first frame."""
 
 
-class ChangingCamera:
-    """A camera whose frames count as new only where they differ from the last one.
+class WatchedCamera:
+    """A camera whose frames count as new only where they differ from the last one, and that remembers the last read.
 
     In flight a real camera never sees the same twice, to the bit: one that seems to has hung, and its frame grows old.
     Not so on the ground, through a codec, nor from a renderer without noise: until `active`, every frame counts as new.
@@ -93,6 +93,8 @@ class ChangingCamera:
 
     def __init__(self, camera: Camera) -> None:
         self.active = False
+        self.seen_at = time.monotonic()
+        """When the last frame that was read had been received, of `time.monotonic`, s."""
         self._camera = camera
         self._changed: Shot | None = None
 
@@ -100,8 +102,8 @@ class ChangingCamera:
         """The newest frame, as old as the first of those like it."""
         shot, changed = self._camera.read(), self._changed
         if not self.active or changed is None or not np.array_equal(shot.image, changed.image):
-            self._changed = shot
-            return shot
+            changed = self._changed = shot
+        self.seen_at = changed.time
         return Shot(shot.image, changed.time, shot.age_s + shot.time - changed.time)
 
     def close(self) -> None:

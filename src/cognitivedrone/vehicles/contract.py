@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -17,7 +17,6 @@ from cognitivedrone.plan import SafetySpec, VehicleSpec
 from cognitivedrone.sim.airframe import RACER, Airframe
 from cognitivedrone.types import FloatArray, Quaternion, Track
 from cognitivedrone.vehicles.checklist import Checklist
-from cognitivedrone.vehicles.external import LinkReport
 
 Confirm = Callable[[Checklist], bool]
 """Shows the checklist and returns whether the take-off is confirmed."""
@@ -52,6 +51,38 @@ class Status:
     """The guard's decision: fly, hold, brake, land or hands_off."""
     reason: str = ""
     """Reason for the decision, as text."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinkReport:
+    """Link statistics of an autopilot in another process."""
+
+    frames: int = 0
+    """Physics steps that it requested; in Gazebo, commands."""
+    lost: int = 0
+    """Physics steps that it counted and we did not receive, 0 in strict lock-step; in Gazebo, late commands."""
+    restarts: int = 0
+    """Number of restarts after a crash or a failsafe."""
+    reasons: tuple[str, ...] = field(default=(), metadata={"json": "where set"})
+    """The reason of each restart, oldest first."""
+
+    def __add__(self, other: LinkReport) -> LinkReport:
+        """Both together, the other one later."""
+        return LinkReport(
+            self.frames + other.frames,
+            self.lost + other.lost,
+            self.restarts + other.restarts,
+            self.reasons + other.reasons,
+        )
+
+    def __sub__(self, before: LinkReport) -> LinkReport:
+        """What has happened since `before`, an earlier report of the same link."""
+        return LinkReport(
+            self.frames - before.frames,
+            self.lost - before.lost,
+            self.restarts - before.restarts,
+            self.reasons[len(before.reasons) :],
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from cognitivedrone.benchmark.reports.tables import results_table
 from cognitivedrone.benchmark.runs.runner import command_of, run
 from cognitivedrone.benchmark.scores.results import read_results, results_from_json, results_to_json
 from cognitivedrone.errors import CognitiveDroneError
-from cognitivedrone.vehicles.external import LinkReport
+from cognitivedrone.vehicles.contract import LinkReport
 
 
 @pytest.fixture

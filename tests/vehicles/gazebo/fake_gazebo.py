@@ -17,9 +17,9 @@ from types import SimpleNamespace
 from typing import Any
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-from sdf_reading import models, parse, read_world, values
+from sdf_reading import parse, values
 
-from cognitivedrone.vehicles.gazebo.bindings import MODULES, RELEASES, Bindings, load_bindings
+from cognitivedrone.vehicles.gazebo.bindings import MODULES, RELEASES, Bindings, ServiceProcess, load_bindings
 
 FIELD = descriptor_pb2.FieldDescriptorProto
 FIELDS: dict[str, list[tuple[str, Any]]] = {
@@ -88,8 +88,6 @@ class FakeGazebo:
         self.poses: dict[str, tuple[list[float], float]] = {name: ([0.0, 0.0, 0.0], 0.0) for name in models}
         """Position and yaw of what stands."""
         self.lights: set[str] = {"sun"}
-        self.cameras: dict[str, str] = {}
-        """Models with a camera that were spawned, by its topic."""
         self.asked: list[tuple[str, Any]] = []
         """Service and request, without those that only look."""
         self.silent: set[str] = set()
@@ -106,12 +104,6 @@ class FakeGazebo:
         self._running = threading.Event()
         self.listeners: dict[str, list[tuple[Any, Callable[[Any], None]]]] = {}
         self._waiting: list[tuple[int, Callable[[], None]]] = []
-
-    def load_world(self, file: Path) -> None:
-        """Put everything where a world's file says."""
-        for name, model in models(read_world(file)).items():
-            *position, _, _, yaw = values(model, "pose") if model.find("pose") is not None else [0.0] * 6
-            self.poses[name] = position, yaw
 
     def load(self, module: str) -> Any:
         """What `importlib.import_module` does on a machine with this release's bindings."""
@@ -208,14 +200,11 @@ class FakeGazebo:
             else:
                 *position, _, _, yaw = values(element, "pose") if element.find("pose") is not None else [0.0] * 6
                 self.poses[request.name] = position, yaw
-                for sensor in element.iter("sensor"):
-                    self.cameras[sensor.findtext("topic")] = request.name
         elif end == "remove" and request.type == 1:
             self.lights.remove(request.name)
         elif end == "remove":
             assert request.type == 2
             del self.poses[request.name]
-            self.cameras = {topic: name for topic, name in self.cameras.items() if name != request.name}
         elif end == "set_pose":  # of models alone: nothing else is moved by it
             p, q = request.position, request.orientation
             assert request.name in self.poses
@@ -254,8 +243,8 @@ class Node:
         return expected is not None, reply
 
 
-class OtherProcess:
-    """As `ServiceProcess`: a process that subscribes to nothing."""
+class OtherProcess(ServiceProcess):
+    """A process that subscribes to nothing."""
 
     def __init__(self, gazebo: FakeGazebo) -> None:
         self._gazebo = gazebo

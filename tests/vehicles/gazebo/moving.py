@@ -15,12 +15,13 @@ from fake_gazebo import MESSAGES, FakeGazebo
 
 from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.vehicles.camera import Camera
 from cognitivedrone.vehicles.gazebo import flight as flight_module
 from cognitivedrone.vehicles.gazebo.flight import GazeboFlight, open_gazebo
-from cognitivedrone.vehicles.gazebo.live import GazeboWorld, LiveConfig
+from cognitivedrone.vehicles.gazebo.live import LiveConfig
 from cognitivedrone.vehicles.gazebo.sensing import Sample, TruePath
 from cognitivedrone.vehicles.gazebo.worlds.vehicle import CAMERA_TOPIC, NAME
-from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone
+from cognitivedrone.vehicles.mavlink.client.core import FlightCore
 from cognitivedrone.vehicles.mavlink.server.vehicle import STEP_S, SimulatedVehicle, VehicleConfig
 
 PATIENT = LiveConfig(answer_s=30.0, first_s=30.0, silence_s=30.0)
@@ -107,9 +108,9 @@ def opened(running: Moving, config: LiveConfig = PATIENT) -> Iterator[GazeboFlig
             running.limit = max(time_s, running.vehicle.time) + 0.02
             return until(path, time_s)
 
-        def free(url: str, world: GazeboWorld) -> MavlinkDrone:
+        def free(url: str, camera: Camera) -> FlightCore:
             running.limit = math.inf
-            return take_off(url, world)
+            return take_off(url, camera)
 
         patch.setattr(TruePath, "until", asked)
         patch.setattr(flight_module, "take_off", free)

@@ -35,7 +35,6 @@ def test_the_export_command_of_the_page_works(tmp_path, capsys):
     [
         (("bench", "--link", "gazebo"), "Python bindings are not installed"),
         (("fly",), "Python bindings are not installed"),
-        (("gazebo", "selftest"), "there is no command `gz`"),
     ],
 )
 def test_the_other_commands_are_understood_and_say_what_is_missing(start, says, tmp_path, monkeypatch, capsys):

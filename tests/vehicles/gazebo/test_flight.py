@@ -28,11 +28,11 @@ from cognitivedrone.policies import make_policy
 from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.sim.drone_world import Start
 from cognitivedrone.tasks import load_suite
-from cognitivedrone.vehicles.external import ExternalWorld, Placement
 from cognitivedrone.vehicles.gazebo import flight as flight_module
 from cognitivedrone.vehicles.gazebo.flight import on_the_ground
-from cognitivedrone.vehicles.gazebo.live import GazeboWorld
-from cognitivedrone.vehicles.mavlink.client.drone import PassThroughGuard
+from cognitivedrone.vehicles.mavlink.client.core import FlightCore
+from cognitivedrone.vehicles.mavlink.client.health import PassThroughGuard
+from cognitivedrone.vehicles.simulated import STARTS, ExternalWorld, Placement
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import PLAIN
 
@@ -109,7 +109,7 @@ def test_a_vehicle_that_is_lost_voids_the_flight_and_the_next_one_takes_off_agai
         flight.begin(START)
         assert not flight.diverged
         assert flight.state().position == pytest.approx(START.position, abs=0.15)
-        assert 1 <= flight.report.restarts < flight_module.STARTS
+        assert 1 <= flight.report.restarts < STARTS
 
 
 def test_the_benchmark_flies_in_gazebo(running, tmp_path, monkeypatch, capsys):
@@ -164,23 +164,21 @@ def test_what_cannot_be_flown_is_reported(running, monkeypatch):
         with pytest.raises(GazeboError, match="has been silent for"):
             flight.advance(10**6)
         running.paused = False
-    monkeypatch.setattr(flight_module._Drone, "is_software", False)
+    monkeypatch.setattr(flight_module, "is_software", lambda core: False)
     with opened(running) as flight:
         with pytest.raises(RunError, match=r"may be a real drone.*--resume"):
             flight.begin(START)
         assert not running.vehicle.modes.armed
 
 
-def test_software_in_the_loop_is_reported_by_its_parameters(running, tmp_path):
-    with (
-        GazeboWorld(tmp_path, PATIENT, running.gazebo.bindings()) as world,
-        flight_module._Drone(running.url, world.camera(), PassThroughGuard(), flight_module.VEHICLE) as drone,
-    ):
-        assert drone.is_software
-        drone.simulated = False
-        assert not drone.is_software  # our own vehicle has no parameter of ArduPilot's simulation
-        drone.link.parameters = lambda names: dict.fromkeys(names, 1.0)
-        assert drone.is_software
+def test_software_in_the_loop_is_reported_by_its_parameters(running):
+    core = FlightCore.connected(running.url, PassThroughGuard(), flight_module.VEHICLE)
+    assert flight_module.is_software(core)
+    core.met = replace(core.met, simulated=False)
+    assert not flight_module.is_software(core)  # our own vehicle has no parameter of ArduPilot's simulation
+    core.link.parameters = lambda names: dict.fromkeys(names, 1.0)
+    assert flight_module.is_software(core)
+    core.close()
 
 
 def test_the_guard_lets_go_for_good():

@@ -42,7 +42,7 @@ from cognitivedrone.terminal import console
 from cognitivedrone.terminal.progress import progress_bar, redraws
 from cognitivedrone.text.printable import shown_address
 from cognitivedrone.types import EpisodeResult, Track
-from cognitivedrone.vehicles.external import LinkReport
+from cognitivedrone.vehicles.contract import LinkReport
 
 ERROR_FILE = "error.txt"
 

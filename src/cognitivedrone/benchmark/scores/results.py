@@ -21,7 +21,7 @@ from cognitivedrone.errors import RunError
 from cognitivedrone.files import replace_file, writing
 from cognitivedrone.plan import Rule
 from cognitivedrone.types import EpisodeResult
-from cognitivedrone.vehicles.external import LinkReport
+from cognitivedrone.vehicles.contract import LinkReport
 
 FILES: Final = ("labels", "model", "reasoner_model", "policy_code", "reasoner_code", "autopilot")
 """Options whose value is the SHA-256 of a file: label images, the policy's weights, the reasoner's weights or answers,

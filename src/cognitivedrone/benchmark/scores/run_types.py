@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone.film.frame import FilmFrame
 from cognitivedrone.types import EpisodeResult, Stage
-from cognitivedrone.vehicles.external import LinkReport
+from cognitivedrone.vehicles.contract import LinkReport
 
 
 @dataclass(frozen=True, slots=True)

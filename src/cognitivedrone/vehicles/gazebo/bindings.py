@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import importlib
 import json
+import os
 import re
 import shutil
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from cognitivedrone.errors import GazeboError, did_you_mean
 from cognitivedrone.system import own_session
@@ -58,21 +59,7 @@ def release_named(name: str) -> Release:
     return RELEASES[name]
 
 
-_PROGRAM: Final = "cognitivedrone.vehicles.gazebo.caller"
-
 _END_S: Final = 5.0
-
-
-class Services(Protocol):
-    """Something that calls services."""
-
-    def request(self, service: str, request: bytes, asks: str, answers: str, timeout_ms: int) -> bytes | None:
-        """Call a service with a message, of the type named `asks`; returns the one of type `answers`, none if late."""
-        ...
-
-    def close(self) -> None:
-        """Call no more."""
-        ...
 
 
 class ServiceProcess:
@@ -83,7 +70,7 @@ class ServiceProcess:
 
     def __init__(self, release: str) -> None:
         self._process = subprocess.Popen(  # noqa: S603 - no part of the command comes from outside
-            [sys.executable, "-m", _PROGRAM, release],
+            [sys.executable, "-m", "cognitivedrone.vehicles.gazebo.bindings", release],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -93,7 +80,10 @@ class ServiceProcess:
         self._one_at_a_time = threading.Lock()
 
     def request(self, service: str, request: bytes, asks: str, answers: str, timeout_ms: int) -> bytes | None:
-        """As `Services`; raises `GazeboError` if the process has ended."""
+        """Call a service with a message, of the type named `asks`; returns the one of type `answers`, none if late.
+
+        Raises `GazeboError` if the process has ended.
+        """
         call = json.dumps([service, request.hex(), asks, answers, timeout_ms])
         inlet, outlet = self._process.stdin, self._process.stdout
         if inlet is None or outlet is None:
@@ -149,7 +139,7 @@ class Bindings:
     new_node: Callable[[], Any]
     """A `gz.transport` node: `subscribe` and `unsubscribe`."""
     load: Callable[[str], Any]
-    new_services: Callable[[], Services]
+    new_services: Callable[[], ServiceProcess]
     """What calls services: a node of ours cannot while it, or another, is subscribed to a topic."""
 
     def message(self, name: str) -> Any:
@@ -160,7 +150,7 @@ class Bindings:
 def load_bindings(
     release: str | None = None,
     load: Callable[[str], Any] = importlib.import_module,
-    services: Callable[[str], Services] = ServiceProcess,
+    services: Callable[[str], ServiceProcess] = ServiceProcess,
 ) -> Bindings:
     """The bindings of a release, or the newest installed ones.
 
@@ -189,19 +179,40 @@ def load_bindings(
 
 def installed_releases() -> frozenset[str]:
     """Names of the installed simulator releases; empty without Gazebo."""
-    majors = {int(version.partition(".")[0]) for version in simulator_versions()}
-    return frozenset(release.name for release in RELEASES.values() if release.sim in majors)
-
-
-def simulator_versions() -> tuple[str, ...]:
-    """The installed versions of the simulator, as `gz sim --versions` prints them; empty without Gazebo."""
     command = shutil.which("gz")
     if command is None:
-        return ()
+        return frozenset()
     try:
         done = subprocess.run(  # noqa: S603 - no part of the command comes from outside
             (command, "sim", "--versions"), check=False, capture_output=True, text=True, timeout=_VERSIONS_S
         )
     except (OSError, subprocess.TimeoutExpired):
-        return ()
-    return tuple(re.findall(r"^(\d+\.\d+\S*)", done.stdout, flags=re.MULTILINE))
+        return frozenset()
+    majors = {int(major) for major in re.findall(r"^(\d+)\.\d+", done.stdout, flags=re.MULTILINE)}
+    return frozenset(release.name for release in RELEASES.values() if release.sim in majors)
+
+
+def replies(release: str, calls: Iterable[str]) -> Iterator[str]:
+    """The reply to each call, as lines of JSON: a message in hexadecimal digits, or null."""
+    bindings = load_bindings(release)
+    node = bindings.new_node()
+    for call in calls:
+        service, data, asks, answers, timeout_ms = parse_json(call)
+        kind = bindings.message(asks)
+        request = kind()
+        request.ParseFromString(bytes.fromhex(data))
+        delivered, reply = node.request(service, request, kind, bindings.message(answers), timeout_ms)
+        yield json.dumps(reply.SerializeToString().hex() if delivered else None)
+
+
+def main() -> None:
+    """The program behind `ServiceProcess`: a call per line of its input, a reply per line, until the input ends."""
+    # gz-transport prints complaints to the standard output; only replies may go there.
+    with os.fdopen(os.dup(sys.stdout.fileno()), "w") as out:
+        os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+        for reply in replies(sys.argv[1], sys.stdin):
+            print(reply, file=out, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -18,25 +18,15 @@ from cognitivedrone.sim.drone_world import Scenery, Start
 from cognitivedrone.sim.dynamics import BatchedFlight
 from cognitivedrone.types import CONTROL_HZ, DroneState, FloatArray, Image, Stage
 from cognitivedrone.vehicles.camera import Camera
-from cognitivedrone.vehicles.contract import Request
-from cognitivedrone.vehicles.external import ExternalFlight, ExternalWorld, LinkReport, Placement, placed
+from cognitivedrone.vehicles.contract import LinkReport, Request
 from cognitivedrone.vehicles.gazebo.bindings import Bindings
 from cognitivedrone.vehicles.gazebo.live import GazeboWorld, LiveConfig
 from cognitivedrone.vehicles.gazebo.sensing import TruePath
-from cognitivedrone.vehicles.mavlink.client.drone import MavlinkDrone, PassThroughGuard
+from cognitivedrone.vehicles.mavlink.client.core import FlightCore
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
-from cognitivedrone.vehicles.simulated import SimulatedFlight
+from cognitivedrone.vehicles.mavlink.client.health import PassThroughGuard
+from cognitivedrone.vehicles.simulated import AutopilotFlight, ExternalWorld, Placement, SimulatedFlight
 
-STILL_M_S: Final = 0.1
-"""Maximum speed of a hover; also the maximum height error in m and yaw rate in rad/s."""
-STILL_STEPS: Final = 5
-"""Control steps that a hover must last."""
-HOVER_S: Final = 30.0
-"""Time limit to reach a hover, s of Gazebo's time."""
-CLIMB_M_S: Final = 1.0
-"""Vertical speed on the way to the next start."""
-STARTS: Final = 3
-"""Attempts to hover at the start of a flight."""
 LANDS_S: Final = 60.0
 """Time in which a vehicle that was given up lands by its own failsafe, s of Gazebo's time."""
 RESTS_S: Final = 3.0
@@ -50,22 +40,24 @@ LATE_S: Final = 0.05
 _LOOK_AGAIN_S = 0.002
 
 
-class GazeboFlight(ExternalFlight):
+class GazeboFlight(AutopilotFlight):
     """One drone, flown by the ArduPilot of a running Gazebo, with its `camera`. `close` lands the vehicle.
 
-    `path` supplies the vehicle's true states. `connect` returns a drone in the air; it is called at the first `begin`,
+    `path` supplies the vehicle's true states. `connect` returns a flight in the air; it is called at the first `begin`,
     and again after a vehicle was given up. If Gazebo stops responding, all methods raise `GazeboError` or
     `CameraError`.
     """
 
-    def __init__(self, world: GazeboWorld, path: TruePath, camera: Camera, connect: Callable[[], MavlinkDrone]) -> None:
+    STILL_M_S, CLIMB_M_S, HOVER_S = 0.1, 1.0, 30.0
+
+    def __init__(self, world: GazeboWorld, path: TruePath, camera: Camera, connect: Callable[[], FlightCore]) -> None:
         super().__init__()
         self._report = LinkReport()
         self._world = world
         self._path = path
         self._camera = camera
         self._connect = connect
-        self._drone: MavlinkDrone | None = None
+        self._core: FlightCore | None = None
         self._state = path.newest().state
         self._began = 0.0
         self._ticks = 0
@@ -73,28 +65,32 @@ class GazeboFlight(ExternalFlight):
         self._showing: Future[None] | None = None
 
     def begin(self, start: Start) -> None:
-        """Hover at `start`, within 10 cm of its height.
-
-        Raises `RunError` for wind, and if no vehicle gets there.
-        """
+        """Hover at `start`. Raises `RunError` for wind, and if no vehicle gets there."""
         if any(start.wind):
             raise RunError("the exported Gazebo worlds have no wind; leave --wind out")
-        for _ in range(STARTS):
-            try:
-                self._drone = self._drone or self._connect()
-                self._hover(self._drone, start.position[2])
-            except LinkError as error:
-                self._give_up(error)
-                self._await_ground()
-                continue
-            self._placement = placed(self._path.newest().state, np.array(start.position), start.yaw)
-            self.diverged, self._ticks = False, 0
-            self._resume()
-            return
-        raise RunError(
+        super().begin(start)
+
+    def _take_off(self, start: Start) -> None:  # noqa: ARG002
+        if self._core is None and self.trouble:
+            self._await_ground()
+        self._core = self._core or self._connect()
+
+    def _begun(self, start: Start) -> None:  # noqa: ARG002
+        self._ticks = 0
+        self._resume()
+
+    def _no_start(self) -> str:
+        return (
             f"the vehicle in Gazebo does not fly ({self.trouble}); restart Gazebo and ArduPilot, then continue with"
             " --resume"
         )
+
+    def _truth(self) -> tuple[float, DroneState]:
+        sample = self._path.newest()
+        return sample.time, sample.state
+
+    def _go_on(self, until: float) -> None:
+        self._path.until(until)
 
     def advance(self, ticks: int) -> FloatArray:
         """Advance until ticks of `BatchedFlight.TICK_S` have passed in Gazebo; returns the true positions (samples, 3).
@@ -112,8 +108,8 @@ class GazeboFlight(ExternalFlight):
             self._began += behind
         states = [self._placement.apply(sample.state) for sample in self._path.until(until)]
         self._state = states[-1]
-        if self._drone is not None and self._drone.over is not None:
-            self._give_up(LinkError(self._drone.over))
+        if self._core is not None and self._core.over is not None:
+            self._give_up(LinkError(self._core.over))
         return np.array([state.position for state in states])
 
     @property
@@ -128,7 +124,7 @@ class GazeboFlight(ExternalFlight):
         tenths of a second while the vehicle flies on. Raises `GazeboError` if Gazebo fails; for a later stage, the next
         call that concerns stages or time raises it.
         """
-        if self._drone is None:
+        if self._core is None:
             return  # without a vehicle the flight is void
         board = {stage.board: scenery.board} if stage.board else {}
         shown = dict(zip(stage.labels, scenery.panels, strict=True)) | board
@@ -156,22 +152,6 @@ class GazeboFlight(ExternalFlight):
         """Land; the last stage stays in Gazebo."""
         self._stagehand.shutdown()
         self._land()
-
-    def _hover(self, drone: MavlinkDrone, height: float) -> None:
-        """Reach a hover at a height, m."""
-        still, deadline = 0, self._path.newest().time + HOVER_S
-        while still < STILL_STEPS:
-            sample = self._path.newest()
-            if sample.time > deadline:
-                raise LinkError(f"it did not reach a hover {height:.2f} m above the ground in {HOVER_S:g} s")
-            state, lacking = sample.state, height - float(sample.state.position[2])
-            drone.send(np.array([0.0, 0.0, np.clip(lacking, -CLIMB_M_S, CLIMB_M_S), 0.0], dtype=np.float32))
-            if drone.over is not None:
-                raise LinkError(drone.over)
-            self._path.until(sample.time + 1 / CONTROL_HZ)
-            moving = max(float(np.linalg.norm(state.velocity)), abs(float(state.body_rates[2])), abs(lacking))
-            still = still + 1 if moving < STILL_M_S else 0
-        drone.send(np.zeros(4, dtype=np.float32))
 
     def _await_ground(self) -> None:
         """Wait for a vehicle that was given up to land: one that is armed cannot be taken over."""
@@ -207,8 +187,11 @@ class GazeboFlight(ExternalFlight):
         self._began = now.time - self._ticks * BatchedFlight.TICK_S
 
     def _send(self, action: FloatArray) -> None:
-        if self._drone is not None:
-            self._drone.send(action.astype(np.float32))
+        if self._core is not None:
+            self._core.link.check()
+            self._core.command(action.astype(np.float32))
+            if self._core.over is not None:
+                raise LinkError(self._core.over)
 
     def _let_go(self) -> None:
         self._report += LinkReport(restarts=1, reasons=(self.trouble,))
@@ -217,9 +200,9 @@ class GazeboFlight(ExternalFlight):
 
     def _land(self) -> None:
         """Land the vehicle if we still control it, and disconnect."""
-        drone, self._drone = self._drone, None
-        if drone is not None:
-            drone.close()
+        core, self._core = self._core, None
+        if core is not None:
+            core.end()
 
 
 class Pictures:
@@ -273,7 +256,7 @@ def open_gazebo(
         stack.callback(path.close)
         camera = world.camera()
         stack.callback(camera.close)
-        flight = GazeboFlight(world, path, camera, lambda: take_off(url, world))
+        flight = GazeboFlight(world, path, camera, lambda: take_off(url, camera))
         stack.callback(flight.close)
         yield flight
 
@@ -286,25 +269,21 @@ def open_gazebo_vehicle(request: Request) -> SimulatedFlight:
         return SimulatedFlight(world, request, undo.pop_all().close, flight=flight, renderer=lambda: flight.renderer)
 
 
-def take_off(url: str, world: GazeboWorld) -> MavlinkDrone:
+def take_off(url: str, camera: Camera) -> FlightCore:
     """Take off with the world's vehicle; raises `LinkError` if it does not fly, or is not known to be simulated."""
-    drone = _Drone(url, world.camera(), PassThroughGuard(), VEHICLE)
+    core = FlightCore.connected(url, PassThroughGuard(), VEHICLE)
     with ExitStack() as undo:
-        undo.callback(drone.close)
-        if not drone.is_software:
+        undo.callback(core.end)
+        if not is_software(core):
             raise LinkError(
                 f"the vehicle at {url} does not report that it is simulated, so it may be a real drone; start ArduPilot"
                 " as described in docs/gazebo.md, and stop any other program that listens there"
             )
-        drone.take_off(lambda _: True)
+        core.take_off(lambda _: True, lambda: camera.read().age_s)
         undo.pop_all()
-    return drone
+    return core
 
 
-class _Drone(MavlinkDrone):
-    """A drone that knows whether it is simulated."""
-
-    @property
-    def is_software(self) -> bool:
-        """Whether it reports to be simulated: software in the loop, or this project's own."""
-        return self.simulated or self.link.parameters([SIMULATION_PARAMETER])[SIMULATION_PARAMETER] is not None
+def is_software(core: FlightCore) -> bool:
+    """Whether it reports to be simulated: software in the loop, or this project's own."""
+    return core.met.simulated or core.link.parameters([SIMULATION_PARAMETER])[SIMULATION_PARAMETER] is not None

@@ -2,10 +2,9 @@
 
     with GazeboWorld(Path("gazebo/assets")) as world:
         world.show(stage, load_pack())
-        drone = MavlinkDrone("tcp:127.0.0.1:5760", world.camera(), Guard(), MavlinkConfig(clock="vehicle"))
         world.state()
 
-Flight commands go to ArduPilot, through `MavlinkDrone`. The services are those of gz-sim's UserCommands and
+Flight commands go to ArduPilot, over MAVLink. The services are those of gz-sim's UserCommands and
 SceneBroadcaster systems. They answer once a command is queued, so this module watches the poses until the command has
 been carried out.
 """
@@ -47,16 +46,12 @@ _LISTED = 3
 
 @dataclass(frozen=True, slots=True)
 class LiveConfig:
-    """Names in the Gazebo world, and time limits."""
+    """Time limits, s of the wall clock: a busy machine without a GPU stands still for seconds while it loads meshes or
+    ArduPilot starts.
+    """
 
-    world: str = WORLD
-    vehicle: str = NAME
-    camera_topic: str = CAMERA_TOPIC
-    release: str | None = None
-    """Release of the bindings; the newest installed ones by default."""
     answer_s: float = 20.0
-    """Time limit for a service to answer, and for a stage to be in place, s of the wall clock, as all limits here: a
-    busy machine without a GPU stands still for seconds while it loads meshes or ArduPilot starts."""
+    """Time limit for a service to answer, and for a stage to be in place."""
     first_s: float = 30.0
     """Time limit for the first message of a topic."""
     silence_s: float = 20.0
@@ -121,7 +116,7 @@ class GazeboWorld:
 
     def __init__(self, folder: Path, config: LiveConfig | None = None, bindings: Bindings | None = None) -> None:
         self.config = config or LiveConfig()
-        self.bindings = bindings or load_bindings(self.config.release)
+        self.bindings = bindings or load_bindings()
         self._folder = folder.resolve()
         self._serial = 0
         self._path: TruePath | None = None
@@ -202,7 +197,7 @@ class GazeboWorld:
 
     def entities(self) -> frozenset[str]:
         """Names of the models and lights in the scene."""
-        delivered, scene = self._request(f"/world/{self.config.world}/scene/info", "Empty", "Scene")
+        delivered, scene = self._request(f"/world/{WORLD}/scene/info", "Empty", "Scene")
         if not delivered:
             raise GazeboError(
                 f"Gazebo did not report its scene within {self.config.answer_s:g} s; does the world load the system"
@@ -213,7 +208,7 @@ class GazeboWorld:
     def places(self) -> dict[str, tuple[FloatArray, FloatArray]]:
         """Position (3,) in m and quaternion (4,) w, x, y, z of all entities now, by name."""
         if self._poses is None:
-            topic = f"/world/{self.config.world}/pose/info"
+            topic = f"/world/{WORLD}/pose/info"
             self._poses = Topic(self.bindings, topic, "Pose_V", places_of, self.config.first_s)
         return self._poses.newest(self.config.silence_s)[0]
 
@@ -225,14 +220,12 @@ class GazeboWorld:
     def path(self) -> TruePath:
         """The vehicle's true states from now on; the caller closes it."""
         config = self.config
-        topic = f"/world/{config.world}/dynamic_pose/info"
-        return TruePath(self.bindings, topic, config.vehicle, first_s=config.first_s, silence_s=config.silence_s)
+        topic = f"/world/{WORLD}/dynamic_pose/info"
+        return TruePath(self.bindings, topic, NAME, first_s=config.first_s, silence_s=config.silence_s)
 
     def camera(self) -> GazeboCamera:
-        """The vehicle's camera, for a `MavlinkDrone`, which closes it; raises `CameraError` if it sends no frames."""
-        return GazeboCamera(
-            self.bindings, self.config.camera_topic, first_s=self.config.first_s, silence_s=self.config.silence_s
-        )
+        """The vehicle's camera; the caller closes it. Raises `CameraError` if it sends no frames."""
+        return GazeboCamera(self.bindings, CAMERA_TOPIC, first_s=self.config.first_s, silence_s=self.config.silence_s)
 
     def close(self) -> None:
         """Unsubscribe, and call no more; the stage remains in Gazebo."""
@@ -248,20 +241,19 @@ class GazeboWorld:
         if not delivered:
             raise GazeboError(f"no Gazebo answers within {self.config.answer_s:g} s; {self._advice()}")
         running = list(reply.data)
-        if self.config.world not in running:
+        if WORLD not in running:
             others = ", ".join(map(repr, running)) or "(none yet)"
             raise GazeboError(
-                f"Gazebo already runs the world {others}, not {self.config.world!r};"
+                f"Gazebo already runs the world {others}, not {WORLD!r};"
                 " stop it and start ours, or give each a GZ_PARTITION of its own"
             )
 
     def _look_around(self) -> None:
         """Read the current entities: at the start, and after a stage that failed."""
         self._known = self.entities()
-        if self.config.vehicle not in self._known:
+        if NAME not in self._known:
             raise GazeboError(
-                f"the world {self.config.world!r} has no model {self.config.vehicle!r}; start one made by:"
-                " cognitivedrone gazebo export"
+                f"the world {WORLD!r} has no model {NAME!r}; start one made by: cognitivedrone gazebo export"
             )
         self._standing = {name: None for name in self._known if _OURS.fullmatch(name)}
         self._sun = next((name for name in sorted(self._known) if _SUN.fullmatch(name)), None)
@@ -292,7 +284,7 @@ class GazeboWorld:
 
     def _command(self, service: str, request: Any, what: str) -> None:
         """Request a change of the world."""
-        delivered, reply = self._request(f"/world/{self.config.world}/{service}", request, "Boolean")
+        delivered, reply = self._request(f"/world/{WORLD}/{service}", request, "Boolean")
         if not delivered:
             raise GazeboError(f"Gazebo did not answer when asked to {what}; is it still running?")
         if not reply.data:

@@ -1,4 +1,4 @@
-"""Sensing in a running Gazebo: the vehicle's camera, for `MavlinkDrone`, and its true path.
+"""Sensing in a running Gazebo: the vehicle's camera and its true path.
 
 Both subscribe to a topic, which another thread receives, and raise `GazeboError` or `CameraError` if it stops.
 """

@@ -12,9 +12,8 @@ from cognitivedrone.control.safety.fence import Fence
 from cognitivedrone.errors import CameraError, LinkError
 from cognitivedrone.plan import SafetySpec, VehicleSpec
 from cognitivedrone.types import Track
-from cognitivedrone.vehicles.camera import Camera, ChangingCamera, Shot, open_camera
-from cognitivedrone.vehicles.contract import ClockedDrone, Confirm, Request, Status
-from cognitivedrone.vehicles.external import LinkReport
+from cognitivedrone.vehicles.camera import Camera, WatchedCamera, open_camera
+from cognitivedrone.vehicles.contract import ClockedDrone, Confirm, LinkReport, Request, Status
 from cognitivedrone.vehicles.gazebo.bindings import load_bindings
 from cognitivedrone.vehicles.gazebo.sensing import GazeboCamera
 from cognitivedrone.vehicles.gazebo.worlds.vehicle import CAMERA_TOPIC
@@ -26,25 +25,6 @@ TLOG_FILE = "flight.tlog"
 GAZEBO = "gazebo:"
 
 
-class TimestampedCamera:
-    """A camera that remembers when the last frame that was read had been received."""
-
-    def __init__(self, camera: Camera) -> None:
-        self._camera = camera
-        self.seen_at = time.monotonic()
-        """Of `time.monotonic`, s."""
-
-    def read(self) -> Shot:
-        """The newest frame."""
-        shot = self._camera.read()
-        self.seen_at = shot.time
-        return shot
-
-    def close(self) -> None:
-        """Let go of the source."""
-        self._camera.close()
-
-
 class MavlinkVehicle:
     """A `Vehicle` that is a connected MAVLink drone; nobody knows the ground truth."""
 
@@ -53,15 +33,10 @@ class MavlinkVehicle:
     renderer = ""
 
     def __init__(
-        self,
-        drone: SupervisedDrone,
-        camera: TimestampedCamera,
-        *,
-        simulated: bool,
-        changing: ChangingCamera | None = None,
+        self, drone: SupervisedDrone, camera: WatchedCamera, *, simulated: bool, real_camera: bool = False
     ) -> None:
         self.simulated = simulated
-        self._changing = changing
+        self._real_camera = real_camera
         self.report = LinkReport()
         self._drone = drone
         self._camera = camera
@@ -78,8 +53,7 @@ class MavlinkVehicle:
     def take_off(self, confirm: Confirm) -> ClockedDrone:
         """Check, have it confirmed, arm and climb."""
         self._drone.take_off(confirm)
-        if self._changing is not None:
-            self._changing.active = True
+        self._camera.active = self._real_camera
         return self._drone
 
     def status(self) -> Status:
@@ -118,15 +92,14 @@ def open_mavlink(request: Request) -> MavlinkVehicle:
     consent = safety.i_understand_this_flies_a_real_drone
     if not (consent or spec.on_loopback):
         raise LinkError(f"{spec.link} may be a real drone: read docs/real-drone.md, then add {FLAG}")
-    changing = ChangingCamera(open_source(safety.camera))
-    camera = TimestampedCamera(changing)
+    camera = WatchedCamera(open_source(safety.camera))
     drone = SupervisedDrone(spec.url, camera, safety_rules(safety), mavlink_config(safety, request.folder))
     simulated = spec.on_loopback and drone.simulated
     if not simulated and (not consent or safety.clock == "vehicle"):
         drone.close()
         raise LinkError(_refusal(spec, consent=consent))
-    judged = None if simulated or safety.camera.startswith(GAZEBO) else changing
-    return MavlinkVehicle(drone, camera, simulated=simulated, changing=judged)
+    real_camera = not (simulated or safety.camera.startswith(GAZEBO))
+    return MavlinkVehicle(drone, camera, simulated=simulated, real_camera=real_camera)
 
 
 def open_source(source: str) -> Camera:

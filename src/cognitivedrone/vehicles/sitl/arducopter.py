@@ -1,7 +1,7 @@
 """An ArduCopter process on our physics: found, started in a folder of its own, connected to, and ended.
 
-The binary is built for SITL from ArduPilot's tree (docs/vehicles.md). It asks `links.sitl.SitlServer` for every step
-of physics, and listens for MAVLink on TCP. Options of its command line:
+The binary is built for SITL from ArduPilot's tree (docs/vehicles.md). It asks `SitlServer`, of `json_interface.py`, for
+every step of physics, and listens for MAVLink on TCP. Options of its command line:
 https://ardupilot.org/dev/docs/sitl-simulator-software-in-the-loop.html.
 """
 
@@ -10,16 +10,18 @@ from __future__ import annotations
 import math
 import os
 import socket
+import subprocess
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TypeVar
 
+from cognitivedrone import system
 from cognitivedrone.errors import LinkError
-from cognitivedrone.files import replace_file
+from cognitivedrone.files import create, open_regular, replace_file
 from cognitivedrone.sim.airframe import IRIS, Airframe
 from cognitivedrone.vehicles.mavlink.renames import with_both_names
-from cognitivedrone.vehicles.program import Program
 from cognitivedrone.vehicles.sitl.physics import LINEAR_THRUST
 
 T = TypeVar("T")
@@ -52,6 +54,7 @@ FIRST_PORT, PORT_STEP = 5760, 10
 """TCP port of the first autopilot, and from one instance to the next."""
 START_S = 60.0
 """For the process to open its port, s."""
+_END_S = 5.0
 
 
 def find_binary(named: Path | None, way_out: str) -> Path:
@@ -123,12 +126,12 @@ def port_is_free(instance: int) -> bool:
 
 
 class ArduCopter:
-    """A running process. Use it as a context manager, or call `close`.
+    """A running process. Use it as a context manager, or call `close`, which ends it and all that it started.
 
     `folder` is where it leaves its files, and what it prints in `arducopter.log`. It has `defaults`, parameter files,
-    then what our plant and `airframe` need, then the lines in `parameters`; with other physics than ours, `airframe` is
-    none. `speed` is how many times as fast as the wall clock it flies at most. Raises `LinkError` where it cannot be
-    started.
+    then what our plant and `airframe` need, then the lines in `parameters`. `speed` is how many times as fast as the
+    wall clock it flies at most. It has a session of its own: ctrl-C is for us, and lands the drone before the autopilot
+    may end. Raises `LinkError` where it cannot be started.
     """
 
     def __init__(
@@ -138,7 +141,7 @@ class ArduCopter:
         *,
         instance: int = 0,
         defaults: Sequence[Path] = (),
-        airframe: Airframe | None = IRIS,
+        airframe: Airframe = IRIS,
         parameters: str = "",
         speed: float = 1.0,
     ) -> None:
@@ -153,7 +156,7 @@ class ArduCopter:
         """Where it listens for MAVLink; it starts with the first connection."""
         self.output = folder.resolve() / OUTPUT_FILE
         ours = folder.resolve() / PARAMETERS_FILE
-        replace_file(ours, (("" if airframe is None else PARAMETERS + tuning(airframe)) + parameters).encode())
+        replace_file(ours, (PARAMETERS + tuning(airframe) + parameters).encode())
         options = {
             "model": "JSON:127.0.0.1",
             "instance": f"{instance}",
@@ -162,7 +165,15 @@ class ArduCopter:
         }
         command = [str(binary), *(word for name, value in options.items() for word in (f"--{name}", value))]
         try:
-            self._program = Program(command, folder, self.output)
+            with create(self.output) as file:
+                self._process = subprocess.Popen(  # noqa: S603
+                    system.ending_with_us(command),
+                    cwd=folder,
+                    stdin=subprocess.DEVNULL,
+                    stdout=file,
+                    stderr=file,
+                    **system.own_session(),
+                )
         except OSError as error:
             raise LinkError(f"cannot run {binary}: {error.strerror}") from None
 
@@ -174,21 +185,15 @@ class ArduCopter:
 
     def check(self) -> None:
         """Raise `LinkError`, with its last line of output, where the process has ended."""
-        code = self._program.exit_code
+        code = self._process.poll()
         if code is not None:
             raise LinkError(f"{self.binary} ended with {code}{self.last_words()}")
 
     def last_words(self) -> str:
         """The last line that it printed, as a clause to end an error with."""
-        return self._program.last_words()
-
-    def pause(self) -> None:
-        """Stop the process; `resume` lets it go on."""
-        self._program.send("STOP")
-
-    def resume(self) -> None:
-        """Let a stopped process go on."""
-        self._program.send("CONT")
+        with open_regular(self.output) as file:
+            printed = [line.strip() for line in file.read().decode(errors="replace").split("\n") if line.strip()]
+        return f", its last line of output: {printed[-1]}" if printed else ""
 
     def connect(self, make: Callable[[str], T]) -> T:
         """What `make(url)` makes, tried again while it raises `LinkError` and the process is still opening its port."""
@@ -203,5 +208,9 @@ class ArduCopter:
                 time.sleep(0.1)
 
     def close(self) -> None:
-        """End the process."""
-        self._program.close()
+        """End it: ask, then kill what is left."""
+        system.tell_session(self._process.pid, "TERM")
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(_END_S)
+        system.tell_session(self._process.pid, "KILL")
+        self._process.wait()

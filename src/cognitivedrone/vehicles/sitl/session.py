@@ -22,12 +22,11 @@ from cognitivedrone.sim.drone_world import Scenery, Start
 from cognitivedrone.sim.dynamics import BatchedFlight
 from cognitivedrone.types import Action, DroneState, FloatArray, Image, Observation, Stage, Track
 from cognitivedrone.vehicles import autopilot_file
-from cognitivedrone.vehicles.camera import Shot
-from cognitivedrone.vehicles.contract import ClockedDrone, Confirm, Request, Status, Vehicle
-from cognitivedrone.vehicles.external import ExternalFlight, ExternalWorld, LinkReport
+from cognitivedrone.vehicles.camera import Shot, WatchedCamera
+from cognitivedrone.vehicles.contract import ClockedDrone, Confirm, LinkReport, Request, Status, Vehicle
 from cognitivedrone.vehicles.mavlink.guard.drone import SupervisedDrone
-from cognitivedrone.vehicles.mavlink.session import MavlinkVehicle, TimestampedCamera, mavlink_config, safety_rules
-from cognitivedrone.vehicles.simulated import SimulatedFlight
+from cognitivedrone.vehicles.mavlink.session import MavlinkVehicle, mavlink_config, safety_rules
+from cognitivedrone.vehicles.simulated import ExternalFlight, ExternalWorld, SimulatedFlight
 from cognitivedrone.vehicles.sitl.arducopter import ArduCopter
 from cognitivedrone.vehicles.sitl.flight import SitlFlight
 from cognitivedrone.vehicles.sitl.json_interface import SitlServer, serving
@@ -157,7 +156,7 @@ class GuardedSitl:
             put_back=False,
             ready_timeout_s=READY_S,
         )
-        camera = TimestampedCamera(source)
+        camera = WatchedCamera(source)
         drone = autopilot.connect(lambda url: SupervisedDrone(url, camera, safety_rules(safety), config))
         self._vehicle = MavlinkVehicle(drone, camera, simulated=True)
         self._drone = _JudgedDrone(self._vehicle.take_off(self._confirm), self._flight, self.track_runner)

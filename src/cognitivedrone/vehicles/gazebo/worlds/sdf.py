@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, TypeAlias
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -239,85 +239,81 @@ def prop_model(prop: Prop, folder: str = "") -> ET.Element:
     `folder` is the prefix of mesh and texture names: empty for files next to the world's, and "file:///a/folder/" for a
     model that is sent to a running Gazebo.
     """
-    model = ET.Element("model", name=prop.name)
-    add(model, "static", "true")
-    add(model, "pose", numbers(*prop.position, 0.0, 0.0, prop.yaw))
-    visual = add(add(model, "link", name="link"), "visual", name="visual")
-    add(visual, "cast_shadows", "false")
-    mesh = add(add(visual, "geometry"), "mesh")
-    add(mesh, "uri", f"{folder}meshes/{prop.mesh}.obj")
-    add(mesh, "scale", numbers(*prop.scale))
+    mesh: Fields = {"uri": f"{folder}meshes/{prop.mesh}.obj", "scale": prop.scale}
+    visual = new("visual", {"cast_shadows": "false", "geometry": {"mesh": mesh}}, name="visual")
     visual.append(material(prop.paint, prop.texture and f"{folder}textures/{prop.texture}"))
+    model = new("model", {"static": "true", "pose": (*prop.position, 0.0, 0.0, prop.yaw)}, name=prop.name)
+    add(model, "link", name="link").append(visual)
     return model
 
 
 def material(paint: Paint, texture: str | None = None) -> ET.Element:
     """A `<material>` of this paint, multiplied by the texture's colours."""
-    element = ET.Element("material")
-    diffuse = numbers(*paint.diffuse, 1.0)
-    add(element, "ambient", diffuse)
-    add(element, "diffuse", diffuse)
-    add(element, "specular", "0 0 0 1")
-    add(element, "emissive", numbers(*paint.emissive, 1.0))
-    metal = add(add(element, "pbr"), "metal")
-    if texture is not None:
-        add(metal, "albedo_map", texture)
-        add(metal, "emissive_map", texture)
-    add(metal, "metalness", "0")
-    add(metal, "roughness", "1")
-    return element
+    diffuse, maps = (*paint.diffuse, 1.0), ("albedo_map", "emissive_map")
+    light = {"ambient": diffuse, "diffuse": diffuse, "specular": (0, 0, 0, 1), "emissive": (*paint.emissive, 1.0)}
+    metal = dict.fromkeys(maps, texture) if texture is not None else {}
+    return new("material", {**light, "pbr": {"metal": {**metal, "metalness": 0, "roughness": 1}}})
 
 
 def world(stage: Stage, props: Sequence[Prop], appearance: Appearance, vehicle: ET.Element) -> ET.Element:
     """The `<world>` of a stage: systems, physics, one light without shadows, ground, props and the vehicle."""
     element = ET.Element("world", name=WORLD)
-    physics = add(element, "physics", name="lockstep", type="ignored")
-    add(physics, "max_step_size", numbers(STEP_S))
-    add(physics, "real_time_factor", "1")
+    physics = {"max_step_size": STEP_S, "real_time_factor": 1}
+    element.append(new("physics", physics, name="lockstep", type="ignored"))
     for filename, name in _SYSTEMS:
         add(element, "plugin", filename=filename, name=name)
-    sensors = add(element, "plugin", filename="gz-sim-sensors-system", name="gz::sim::systems::Sensors")
-    add(sensors, "render_engine", "ogre2")
-    add(element, "gravity", numbers(0.0, 0.0, -GRAVITY))
-    place = add(element, "spherical_coordinates")
-    add(place, "surface_model", "EARTH_WGS84")
-    add(place, "world_frame_orientation", "ENU")
-    for tag, value in zip(("latitude_deg", "longitude_deg", "elevation"), _HOME, strict=True):
-        add(place, tag, numbers(value))
-    add(place, "heading_deg", "0")
-    scene = add(element, "scene")
-    add(scene, "ambient", "0 0 0 1")  # is part of the paint
-    add(scene, "background", numbers(*appearance.surroundings, 1.0))
-    add(scene, "grid", "false")
-    add(scene, "shadows", "false")
-    element.append(sun(stage, appearance))
-    element.append(_ground())
-    for prop in props:
-        element.append(prop_model(prop))
-    element.append(vehicle)
+    sensors = {"filename": "gz-sim-sensors-system", "name": "gz::sim::systems::Sensors"}
+    element.append(new("plugin", {"render_engine": "ogre2"}, **sensors))
+    latitude, longitude, elevation = _HOME
+    place: Fields = {
+        "surface_model": "EARTH_WGS84", "world_frame_orientation": "ENU", "latitude_deg": latitude,
+        "longitude_deg": longitude, "elevation": elevation, "heading_deg": 0,
+    }  # fmt: skip
+    ambient = (0, 0, 0, 1)  # is part of the paint
+    background = (*appearance.surroundings, 1.0)
+    scene: Fields = {"ambient": ambient, "background": background, "grid": "false", "shadows": "false"}
+    fill(element, {"gravity": (0.0, 0.0, -GRAVITY), "spherical_coordinates": place, "scene": scene})
+    element.extend([sun(stage, appearance), _ground(), *map(prop_model, props), vehicle])
     return element
 
 
 def sun(stage: Stage, appearance: Appearance) -> ET.Element:
     """The only `<light>`: directional, without shadows, rotated with the stage."""
-    light = ET.Element("light", name=SUN, type="directional")
-    add(light, "pose", numbers(*stage.origin, 10.0, 0.0, 0.0, stage.yaw))
-    add(light, "cast_shadows", "false")
-    add(light, "diffuse", "1 1 1 1")  # its intensity is part of the paint
-    add(light, "specular", "0 0 0 1")
-    add(light, "intensity", numbers(_SCATTERED))
-    attenuation = add(light, "attenuation")
-    for tag, value in (("range", 1000.0), ("constant", 1.0), ("linear", 0.0), ("quadratic", 0.0)):
-        add(attenuation, tag, numbers(value))
-    add(light, "direction", numbers(*appearance.light_direction))
-    return light
+    fields: Fields = {
+        "pose": (*stage.origin, 10.0, 0.0, 0.0, stage.yaw),
+        "cast_shadows": "false",
+        "diffuse": (1, 1, 1, 1),  # its intensity is part of the paint
+        "specular": (0, 0, 0, 1),
+        "intensity": _SCATTERED,
+        "attenuation": {"range": 1000, "constant": 1, "linear": 0, "quadratic": 0},
+        "direction": appearance.light_direction,
+    }
+    return new("light", fields, name=SUN, type="directional")
 
 
-def add(parent: ET.Element, tag: str, text: str | None = None, **attributes: str) -> ET.Element:
+Fields: TypeAlias = Mapping[str, "str | float | Sequence[float] | Fields"]
+"""What is in an element, by tag: text, a number, several, or fields again."""
+
+
+def new(tag: str, fields: Fields, **attributes: str) -> ET.Element:
+    """An element of these fields."""
+    return fill(ET.Element(tag, attributes), fields)
+
+
+def fill(parent: ET.Element, fields: Fields) -> ET.Element:
+    """Append fields; returns the parent."""
+    for tag, value in fields.items():
+        child = ET.SubElement(parent, tag)
+        if isinstance(value, Mapping):
+            fill(child, value)
+        else:
+            child.text = value if isinstance(value, str) else numbers(*np.atleast_1d(value))
+    return parent
+
+
+def add(parent: ET.Element, tag: str, **attributes: str) -> ET.Element:
     """Append a child element; returns it."""
-    child = ET.SubElement(parent, tag, attributes)
-    child.text = text
-    return child
+    return ET.SubElement(parent, tag, attributes)
 
 
 def numbers(*values: float) -> str:
@@ -346,10 +342,7 @@ def _obstacles(stage: Stage, appearance: Appearance) -> list[Prop]:
 
 def _ground() -> ET.Element:
     """The ground under the vehicle: infinite and invisible, so that it need not move with the stage."""
-    model = ET.Element("model", name="ground")
-    add(model, "static", "true")
-    collision = add(add(model, "link", name="link"), "collision", name="collision")
-    plane = add(add(collision, "geometry"), "plane")
-    add(plane, "normal", "0 0 1")
-    add(plane, "size", "1 1")
+    plane = new("collision", {"geometry": {"plane": {"normal": (0, 0, 1), "size": (1, 1)}}}, name="collision")
+    model = new("model", {"static": "true"}, name="ground")
+    add(model, "link", name="link").append(plane)
     return model

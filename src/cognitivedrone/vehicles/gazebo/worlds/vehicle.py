@@ -17,8 +17,8 @@ from xml.etree import ElementTree as ET
 from cognitivedrone.sim.airframe import GRAVITY, IRIS, ROTORS, Airframe
 from cognitivedrone.sim.drawing.views import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.types import IMAGE_SIZE
-from cognitivedrone.vehicles.gazebo.worlds.sdf import add, material, numbers, paint
-from cognitivedrone.world.appearance import PLAIN, RGB, Appearance
+from cognitivedrone.vehicles.gazebo.worlds.sdf import Fields, add, fill, material, new, paint
+from cognitivedrone.world.appearance import RGB, Appearance
 
 NAME: Final = "iris"
 CAMERA_TOPIC: Final = "/cognitivedrone/camera"
@@ -50,23 +50,22 @@ def iris(position: tuple[float, float], yaw: float, appearance: Appearance, airf
 
     From the appearance only the camera's pixel noise is used; SDF cannot express its response curve and gain.
     """
-    model = ET.Element("model", name=NAME)
-    add(model, "pose", numbers(*position, ground_clearance(airframe), 0.0, 0.0, yaw))
-    base = add(model, "link", name="base_link")
-    _inertial(base, *_body(airframe))
+    model = new("model", {"pose": (*position, ground_clearance(airframe), 0.0, 0.0, yaw)}, name=NAME)
+    base = fill(add(model, "link", name="base_link"), _inertial(*_body(airframe)))
     side = airframe.rotor_offset
-    collision = add(base, "collision", name="hull")
-    hull = numbers(2 * side, 2 * side, 2 * ground_clearance(airframe))
-    add(add(add(collision, "geometry"), "box"), "size", hull)
+    hull = (2 * side, 2 * side, 2 * ground_clearance(airframe))
+    base.append(new("collision", {"geometry": {"box": {"size": hull}}}, name="hull"))
     for number, quarter in enumerate((1, -1), start=1):
-        arm = add(base, "visual", name=f"arm_{number}")
-        add(arm, "pose", numbers(0.0, 0.0, 0.0, 0.0, 0.0, quarter * math.pi / 4))
-        add(add(add(arm, "geometry"), "box"), "size", numbers(2 * airframe.arm, 0.03, 0.02))
+        shape = {"geometry": {"box": {"size": (2 * airframe.arm, 0.03, 0.02)}}}
+        arm = new("visual", {"pose": (0, 0, 0, 0, 0, quarter * math.pi / 4), **shape}, name=f"arm_{number}")
         arm.append(material(paint(_DARK, _GLOW, appearance)))
-    base.append(_imu())
-    base.append(_camera(appearance, CAMERA_TOPIC))
+        base.append(arm)
+    # No explicit topic: ArduPilotPlugin subscribes to the one that Gazebo generates.
+    imu: Fields = {"pose": (0, 0, 0, math.pi, 0, 0), "always_on": "true", "update_rate": IMU_HZ}
+    base.append(new("sensor", imu, name="imu_sensor", type="imu"))
+    base.append(_camera(appearance))
     for index, (forward, left, _) in enumerate(ROTORS):
-        _add_rotor(model, index, forward * side, left * side, appearance)
+        model.extend(_rotor(index, forward * side, left * side, appearance))
     for index, (_, _, torque) in enumerate(ROTORS):
         for blade in (1, -1):
             model.append(_blade(airframe, index, turning=-torque, blade=blade))
@@ -78,7 +77,7 @@ def parameters(airframe: Airframe = IRIS) -> str:
     """The parameter file that adapts ArduCopter's defaults to this vehicle.
 
     The thrust of Gazebo's rotors is proportional to the square of the command (MOT_THST_EXPO 1), over the whole PWM
-    range. `MavlinkDrone` requires the last two parameters.
+    range. The checklist requires the last two parameters.
     """
     hover = airframe.mass * GRAVITY / (4 * airframe.max_thrust)
     values = {
@@ -114,131 +113,69 @@ def _body(airframe: Airframe) -> tuple[float, tuple[float, float, float]]:
     return airframe.mass - 4 * _ROTOR_MASS, (x, y, z)
 
 
-def _inertial(link: ET.Element, mass: float, moments: tuple[float, float, float]) -> None:
-    inertial = add(link, "inertial")
-    add(inertial, "mass", numbers(mass))
-    inertia = add(inertial, "inertia")
-    for tag, value in zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), (*moments, 0.0, 0.0, 0.0), strict=True):
-        add(inertia, tag, numbers(value))
+def _inertial(mass: float, moments: tuple[float, float, float]) -> Fields:
+    inertia = zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), (*moments, 0.0, 0.0, 0.0), strict=True)
+    return {"inertial": {"mass": mass, "inertia": dict(inertia)}}
 
 
-def _imu() -> ET.Element:
-    # No explicit topic: ArduPilotPlugin subscribes to the one that Gazebo generates.
-    sensor = ET.Element("sensor", name="imu_sensor", type="imu")
-    add(sensor, "pose", numbers(0.0, 0.0, 0.0, math.pi, 0.0, 0.0))
-    add(sensor, "always_on", "true")
-    add(sensor, "update_rate", numbers(IMU_HZ))
-    return sensor
+def _camera(appearance: Appearance) -> ET.Element:
+    image: Fields = {"width": IMAGE_SIZE, "height": IMAGE_SIZE, "format": "R8G8B8"}
+    noise: Fields = {"noise": {"type": "gaussian", "mean": 0, "stddev": appearance.noise / 255}}
+    camera: Fields = {
+        "horizontal_fov": FIELD_OF_VIEW,
+        "image": image,
+        "visibility_mask": str(_ALL_VISIBLE),
+        "clip": {"near": _NEAR, "far": _FAR},
+        **(noise if appearance.noise > 0.0 else {}),
+    }
+    sensor: Fields = {
+        "pose": (*MOUNT, 0, 0, 0), "always_on": "true", "update_rate": CAMERA_HZ, "topic": CAMERA_TOPIC,
+        "camera": camera,
+    }  # fmt: skip
+    return new("sensor", sensor, name="camera", type="camera")
 
 
-def camera_stand(name: str, topic: str) -> ET.Element:
-    """A static `<model>` of nothing but the vehicle's camera, where it is on a vehicle at the same pose."""
-    model = ET.Element("model", name=name)
-    add(model, "static", "true")
-    add(model, "link", name="link").append(_camera(PLAIN, topic))
-    return model
-
-
-def _camera(appearance: Appearance, topic: str) -> ET.Element:
-    sensor = ET.Element("sensor", name="camera", type="camera")
-    add(sensor, "pose", numbers(*MOUNT, 0.0, 0.0, 0.0))
-    add(sensor, "always_on", "true")
-    add(sensor, "update_rate", numbers(CAMERA_HZ))
-    add(sensor, "topic", topic)
-    camera = add(sensor, "camera")
-    add(camera, "horizontal_fov", numbers(FIELD_OF_VIEW))
-    image = add(camera, "image")
-    add(image, "width", numbers(IMAGE_SIZE))
-    add(image, "height", numbers(IMAGE_SIZE))
-    add(image, "format", "R8G8B8")
-    add(camera, "visibility_mask", str(_ALL_VISIBLE))
-    clip = add(camera, "clip")
-    add(clip, "near", numbers(_NEAR))
-    add(clip, "far", numbers(_FAR))
-    if appearance.noise > 0.0:
-        noise = add(camera, "noise")
-        add(noise, "type", "gaussian")
-        add(noise, "mean", "0")
-        add(noise, "stddev", numbers(appearance.noise / 255))
-    return sensor
-
-
-def _add_rotor(model: ET.Element, index: int, forward: float, left: float, appearance: Appearance) -> None:
-    """Add a link with a disc, and its revolute joint."""
-    link = add(model, "link", name=f"rotor_{index}")
-    add(link, "pose", numbers(forward, left, 0.0, 0.0, 0.0, 0.0))
-    _inertial(link, _ROTOR_MASS, _ROTOR_INERTIA)
-    visual = add(link, "visual", name="disc")
-    disc = add(add(visual, "geometry"), "cylinder")
-    add(disc, "radius", numbers(_ROTOR_RADIUS))
-    add(disc, "length", numbers(_ROTOR_HEIGHT))
-    visual.append(material(paint(_FRONT if forward > 0 else _REAR, _GLOW, appearance)))
-    joint = add(model, "joint", name=f"rotor_{index}_joint", type="revolute")
-    add(joint, "parent", "base_link")
-    add(joint, "child", f"rotor_{index}")
-    axis = add(joint, "axis")
-    add(axis, "xyz", "0 0 1")
-    limit = add(axis, "limit")
-    add(limit, "lower", "-1e16")
-    add(limit, "upper", "1e16")
+def _rotor(index: int, forward: float, left: float, appearance: Appearance) -> tuple[ET.Element, ET.Element]:
+    """A link with a disc, and its revolute joint."""
+    name = f"rotor_{index}"
+    link = new("link", {"pose": (forward, left, 0, 0, 0, 0), **_inertial(_ROTOR_MASS, _ROTOR_INERTIA)}, name=name)
+    cylinder: Fields = {"radius": _ROTOR_RADIUS, "length": _ROTOR_HEIGHT}
+    disc = new("visual", {"geometry": {"cylinder": cylinder}}, name="disc")
+    disc.append(material(paint(_FRONT if forward > 0 else _REAR, _GLOW, appearance)))
+    link.append(disc)
+    axis: Fields = {"xyz": (0, 0, 1), "limit": {"lower": "-1e16", "upper": "1e16"}}
+    joint: Fields = {"parent": "base_link", "child": name, "axis": axis}
+    return link, new("joint", joint, name=f"{name}_joint", type="revolute")
 
 
 def _blade(airframe: Airframe, index: int, turning: int, blade: int) -> ET.Element:
     """Lift and drag of one blade, `blade` 1 or -1; `turning` is 1 for counter-clockwise rotors, -1 for clockwise."""
-    plugin = ET.Element("plugin", filename="gz-sim-lift-drag-system", name="gz::sim::systems::LiftDrag")
     pressure = _AIR_DENSITY * (FULL_SPEED * _PRESSURE_CENTER) ** 2 / 2
-    area = airframe.max_thrust / (2 * pressure * _LIFT_SLOPE * _ATTACK_ANGLE)
-    drag_slope = _LIFT_SLOPE * airframe.torque_ratio / _PRESSURE_CENTER
-    for tag, value in (
-        ("a0", _ATTACK_ANGLE),
-        ("alpha_stall", 1.4),
-        ("cla", _LIFT_SLOPE),
-        ("cda", drag_slope),
-        ("cma", 0.0),
-        ("cla_stall", -0.025),
-        ("cda_stall", 0.0),
-        ("cma_stall", 0.0),
-        ("area", area),
-        ("air_density", _AIR_DENSITY),
-    ):
-        add(plugin, tag, numbers(value))
-    add(plugin, "cp", numbers(blade * _PRESSURE_CENTER, 0.0, 0.0))
-    add(plugin, "forward", numbers(0.0, blade * turning, 0.0))
-    add(plugin, "upward", "0 0 1")
-    add(plugin, "link_name", f"rotor_{index}")
-    return plugin
+    fields: Fields = {
+        "a0": _ATTACK_ANGLE, "alpha_stall": 1.4, "cla": _LIFT_SLOPE,
+        "cda": _LIFT_SLOPE * airframe.torque_ratio / _PRESSURE_CENTER,
+        "cma": 0, "cla_stall": -0.025, "cda_stall": 0, "cma_stall": 0,
+        "area": airframe.max_thrust / (2 * pressure * _LIFT_SLOPE * _ATTACK_ANGLE), "air_density": _AIR_DENSITY,
+        "cp": (blade * _PRESSURE_CENTER, 0, 0), "forward": (0, blade * turning, 0), "upward": (0, 0, 1),
+        "link_name": f"rotor_{index}",
+    }  # fmt: skip
+    return new("plugin", fields, filename="gz-sim-lift-drag-system", name="gz::sim::systems::LiftDrag")
 
 
 def _ardupilot() -> ET.Element:
     """The ArduPilot plugin, in lock-step: with `no_time_sync`, ArduPilot would run on without physics."""
-    plugin = ET.Element("plugin", filename="ArduPilotPlugin", name="ArduPilotPlugin")
-    add(plugin, "fdm_addr", "127.0.0.1")
-    add(plugin, "fdm_port_in", numbers(PORT))
-    add(plugin, "connectionTimeoutMaxCount", "5")
-    add(plugin, "lock_step", "1")
-    add(plugin, "no_time_sync", "0")
-    add(plugin, "have_32_channels", "0")
-    add(plugin, "modelXYZToAirplaneXForwardZDown", numbers(0.0, 0.0, 0.0, math.pi, 0.0, 0.0))
-    add(plugin, "gazeboXYZToNED", numbers(0.0, 0.0, 0.0, math.pi, 0.0, math.pi / 2))
-    add(plugin, "imuName", "base_link::imu_sensor")
+    fields: Fields = {
+        "fdm_addr": "127.0.0.1", "fdm_port_in": PORT, "connectionTimeoutMaxCount": 5, "lock_step": 1,
+        "no_time_sync": 0, "have_32_channels": 0, "modelXYZToAirplaneXForwardZDown": (0, 0, 0, math.pi, 0, 0),
+        "gazeboXYZToNED": (0, 0, 0, math.pi, 0, math.pi / 2), "imuName": "base_link::imu_sensor",
+    }  # fmt: skip
+    plugin = new("plugin", fields, filename="ArduPilotPlugin", name="ArduPilotPlugin")
     for index, (_, _, torque) in enumerate(ROTORS):
-        control = add(plugin, "control", channel=str(index))
-        add(control, "jointName", f"rotor_{index}_joint")
-        add(control, "type", "VELOCITY")
-        add(control, "useForce", "1")
-        add(control, "multiplier", numbers(-torque * FULL_SPEED))
-        add(control, "offset", "0")
-        add(control, "servo_min", numbers(PWM_RANGE_US[0]))
-        add(control, "servo_max", numbers(PWM_RANGE_US[1]))
-        for tag, value in (
-            ("p_gain", 0.2),
-            ("i_gain", 0.0),
-            ("d_gain", 0.0),
-            ("i_max", 0.0),
-            ("i_min", 0.0),
-            ("cmd_max", 2.5),
-            ("cmd_min", -2.5),
-        ):
-            add(control, tag, numbers(value))
-        add(control, "controlVelocitySlowdownSim", "1")
+        control: Fields = {
+            "jointName": f"rotor_{index}_joint", "type": "VELOCITY", "useForce": 1, "multiplier": -torque * FULL_SPEED,
+            "offset": 0, "servo_min": PWM_RANGE_US[0], "servo_max": PWM_RANGE_US[1],
+            "p_gain": 0.2, "i_gain": 0, "d_gain": 0, "i_max": 0, "i_min": 0, "cmd_max": 2.5, "cmd_min": -2.5,
+            "controlVelocitySlowdownSim": 1,
+        }  # fmt: skip
+        plugin.append(new("control", control, channel=str(index)))
     return plugin

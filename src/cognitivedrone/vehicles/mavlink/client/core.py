@@ -3,7 +3,7 @@
 The rules (`cognitivedrone.control.safety`) are asked about every command, and fifty times a second between them by
 the loop that reads the link, so that a policy that hangs does not keep a drone flying. As soon as the pilot or the
 vehicle itself takes over, nothing is sent any more but heartbeats. The guard process runs one of these alone
-(`vehicles/mavlink/guard`); `MavlinkDrone` runs one in its own process, for simulations.
+(`vehicles/mavlink/guard`); flights in lock-step and in Gazebo run one in their own process.
 
 Protocol: GUIDED mode (PX4: OFFBOARD), SET_POSITION_TARGET_LOCAL_NED in MAV_FRAME_BODY_NED with velocity and yaw rate.
 In what the autopilots differ is in `vehicles/mavlink/autopilot.py`.
@@ -16,7 +16,7 @@ import threading
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from time import monotonic
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 
@@ -25,7 +25,6 @@ from cognitivedrone.control.safety.health import Health
 from cognitivedrone.errors import LinkError
 from cognitivedrone.types import Action, FloatArray
 from cognitivedrone.vehicles.checklist import Checklist
-from cognitivedrone.vehicles.mavlink.client.checks.inspection import inspect
 from cognitivedrone.vehicles.mavlink.client.checks.parameters import ParameterChanges, journal_of
 from cognitivedrone.vehicles.mavlink.client.handshake import (
     SETPOINT_S,
@@ -34,6 +33,7 @@ from cognitivedrone.vehicles.mavlink.client.handshake import (
     Met,
     climb,
     fields_of,
+    inspect,
     meet,
     must_beat,
 )
@@ -116,6 +116,16 @@ class FlightCore:
                 transport, system=config.system, log=log, watch=self.watch, flown=self._flown, threaded=threaded
             )
             undo.pop_all()
+
+    @classmethod
+    def connected(cls, url: str, guard: FlightGuard, config: MavlinkConfig) -> Self:
+        """A flight whose vehicle has been met."""
+        core = cls(url, guard, config)
+        with ExitStack() as undo:
+            undo.callback(core.close)
+            core.meet()
+            undo.pop_all()
+        return core
 
     def meet(self) -> None:
         """Wait for the vehicle and see that it can be flown. Raises `LinkError`."""
@@ -244,6 +254,16 @@ class FlightCore:
         self.link.until(ended, self.config.landing_timeout_s)
         if self.phase not in not_ours:
             raise LinkError(unlanded(self.telemetry, self._landing, self.config.landing_timeout_s, monotonic()))
+
+    def end(self) -> None:
+        """Land what is ours, wait for it, and hang up; raises `LinkError` where it has not landed in time."""
+        try:
+            if self.phase in ("climbing", "flying"):
+                self.link.check()
+                self.land("the flight is over")
+                self.wait_for_landing()
+        finally:
+            self.close()
 
     def close(self) -> None:
         """Put the vehicle's parameters back, and hang up."""

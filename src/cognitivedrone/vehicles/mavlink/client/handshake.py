@@ -1,5 +1,5 @@
-"""Meeting a vehicle and leaving it: how it is talked to, whether it can be flown, what it reports, and what we still do
-for it once it is not ours any more.
+"""Meeting a vehicle and leaving it: how it is talked to, whether it can be flown, what it reports, its checklist on the
+ground, and what we still do for it once it is not ours any more.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from time import monotonic
 from typing import Final, Literal
 
 import numpy as np
@@ -15,10 +16,19 @@ import numpy as np
 from cognitivedrone.errors import LinkError
 from cognitivedrone.frames import flu_to_frd
 from cognitivedrone.types import Action
+from cognitivedrone.vehicles.checklist import Checklist
 from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AutopilotKind
-from cognitivedrone.vehicles.mavlink.client.checks.parameters import ACTS_IN_FLIGHT, vehicle_key
-from cognitivedrone.vehicles.mavlink.client.checks.preflight import check_vehicle
+from cognitivedrone.vehicles.mavlink.client.checks.expected import EXPECTED
+from cognitivedrone.vehicles.mavlink.client.checks.parameters import ACTS_IN_FLIGHT, ParameterChanges, vehicle_key
+from cognitivedrone.vehicles.mavlink.client.checks.preflight import (
+    FRESH_S,
+    Facts,
+    build_checklist,
+    check_vehicle,
+    corrections,
+)
 from cognitivedrone.vehicles.mavlink.client.link.connection import MavlinkConnection, VehicleId
+from cognitivedrone.vehicles.mavlink.renames import Own, read_by_either_name
 from cognitivedrone.vehicles.mavlink.telemetry import SIMULATED, Telemetry
 
 BODY_NED, VELOCITY_AND_YAW_RATE = 8, 0x05C7
@@ -122,6 +132,44 @@ def meet(link: MavlinkConnection, url: str, config: MavlinkConfig) -> Met:
     simulated = reply is not None and bytes(reply.flight_custom_version) == SIMULATED
     uid, uid2 = (reply.uid, reply.uid2) if reply is not None else (0, ())
     return Met(vehicle, version, simulated, vehicle_key(uid, uid2, vehicle.system, url))
+
+
+def inspect(
+    link: MavlinkConnection, met: Met, config: MavlinkConfig, changes: ParameterChanges, frame_age_s: float
+) -> tuple[Checklist, float | None]:
+    """Read the parameters that safety depends on, correct those that may be set, and judge it all.
+
+    Returns the checklist, and for how long the vehicle flies on by the last velocity, s, where it has such a limit.
+    """
+    if not link.telemetry.armed:
+        changes.put_back(link)  # of a flight that could not
+    autopilot = link.autopilot
+    names = [expected.name for expected in EXPECTED[autopilot.name]]
+    own = read_by_either_name(link.parameters, names, met.version)
+    values = {name: it.older(name) for name, it in own.items()}
+    changed = corrections(values, config.ceiling_m, config.only, autopilot) if config.set_parameters else {}
+    wanted = {name: own[name].having(name, value) for name, value in changed.items()}
+    changes.make(link, {it.name: it.value for it in own.values()}, dict(wanted.values()))
+    values |= changed
+    own |= {name: Own(*it) for name, it in wanted.items()}
+    # One that was received only just now may not have been asked yet: give it as long as an answer may take.
+    link.until(lambda: link.traffic.answered_at > -math.inf, FRESH_S)
+    facts = Facts(
+        now=monotonic(),
+        version=met.version,
+        values=values,
+        changed=changed,
+        telemetry=link.telemetry,
+        traffic=link.traffic,
+        home=link.message("HOME_POSITION", HOME_POSITION) is not None,
+        frame_age_s=frame_age_s,
+        takeoff_height_m=config.takeoff_height_m,
+        ceiling_m=config.ceiling_m,
+        judges_time=config.clock == "wall" and not met.simulated,
+        autopilot=autopilot,
+        own=own,
+    )
+    return build_checklist(facts, config.only), values[autopilot.timeout]
 
 
 RESTORE_S = 3.0

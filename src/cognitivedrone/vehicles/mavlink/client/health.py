@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from cognitivedrone.control.safety import Decision, Order
+from cognitivedrone.control.safety import Decision, Order, SafetyConfig, order
 from cognitivedrone.control.safety.health import VELOCITY_MODES, Health
 from cognitivedrone.types import Action, FloatArray
 from cognitivedrone.vehicles.mavlink.client.link.heartbeats import Grounded
@@ -206,3 +206,36 @@ class FlightGuard(Protocol):
     def land(self, reason: str) -> None:
         """Decide to land from now on."""
         ...
+
+
+class PassThroughGuard:
+    """Passes every command while the vehicle is ours and armed: where a gate monitor judges, no rule holds it back.
+
+    Decides `hands_off`, permanently, if the motors stop or a mode appears that we did not order. Wall-clock times mean
+    nothing here, where the vehicle's time may stand still.
+    """
+
+    def __init__(self) -> None:
+        self._landing = self._over = ""
+
+    def judge(self, health: Health) -> Decision:
+        """Fly, land, or hands off."""
+        if not self._over and not health.armed:
+            self._over = "the motors were stopped"
+        if not self._over and health.mode not in health.ordered_modes:
+            self._over = f"the mode became {health.mode}"
+        if self._over:
+            return Decision("hands_off", self._over)
+        return Decision("land", self._landing) if self._landing else Decision("fly", "")
+
+    def shape(self, health: Health) -> Action:
+        """The command, unchanged."""
+        return np.zeros(4, dtype=np.float32) if health.command is None else health.command.astype(np.float32)
+
+    def order(self, decision: Decision, health: Health, landing: str) -> Order:
+        """To land, as the rules do."""
+        return order(decision, health, SafetyConfig(), landing)
+
+    def land(self, reason: str) -> None:
+        """Land from now on."""
+        self._landing = self._landing or reason

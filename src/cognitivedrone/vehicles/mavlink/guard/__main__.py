@@ -16,9 +16,8 @@ from cognitivedrone.system import come_first, end_of
 from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.mavlink.client.link.tlog import PacketLog
-from cognitivedrone.vehicles.mavlink.guard.messages import Reply, from_json
+from cognitivedrone.vehicles.mavlink.guard.messages import MessageSocket, Reply, from_json
 from cognitivedrone.vehicles.mavlink.guard.process import FAILED, GuardProcess
-from cognitivedrone.vehicles.mavlink.message_socket import MessageSocket
 
 
 def main() -> int:
@@ -27,8 +26,8 @@ def main() -> int:
     end, framed = socket.socket(fileno=settings["pilot"]), settings["framed"]
     end.setblocking(False)
     pilot = MessageSocket(end, framed)
-    log = PacketLog(MessageSocket(socket.socket(fileno=settings["log"]), framed) if settings["log"] >= 0 else None)
-    come_first()
+    come_first()  # before the log has its thread, which holds the interpreter at times and must not be left waiting
+    log = PacketLog(open(settings["log"], "wb", buffering=0) if settings["log"] >= 0 else None)  # noqa: PTH123, SIM115
     try:
         guard = GuardProcess(
             pilot,

@@ -22,7 +22,7 @@ from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from pathlib import Path
 from time import monotonic, monotonic_ns, sleep
-from typing import Any, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 
@@ -36,9 +36,18 @@ from cognitivedrone.vehicles.checklist import Checklist
 from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS
 from cognitivedrone.vehicles.mavlink.client.core import PAUSE_S, LandingMode
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig, Met
-from cognitivedrone.vehicles.mavlink.client.link.tlog import TlogWriter, leave
-from cognitivedrone.vehicles.mavlink.guard.messages import Kind, Reply, Snapshot, from_json, pack, to_json, unpack
-from cognitivedrone.vehicles.mavlink.message_socket import MessageSocket, connected_pair
+from cognitivedrone.vehicles.mavlink.client.link.tlog import open_log
+from cognitivedrone.vehicles.mavlink.guard.messages import (
+    Kind,
+    MessageSocket,
+    Reply,
+    Snapshot,
+    connected_pair,
+    from_json,
+    pack,
+    to_json,
+    unpack,
+)
 from cognitivedrone.vehicles.mavlink.telemetry import (
     LANDING_SILENT_S,
     TEXTS_KEPT,
@@ -94,15 +103,15 @@ class SupervisedDrone:
             dialect()
             if url.startswith("serial:"):
                 import_extra("serial", "mavlink", "pyserial")
-            writer = None if self.config.tlog is None else TlogWriter(self.config.tlog)
-            if writer is not None:
-                undo.callback(self._close_log, writer)
+            log = None if self.config.tlog is None else open_log(self.config.tlog)
+            if log is not None:
+                undo.callback(log.close)
             self._socket, theirs = connected_pair()
             self._reader = threading.Thread(target=self._read, name="guard", daemon=True)
             self._reader.start()
             undo.callback(self._close_socket)
             with closing(theirs):
-                self._process = _start(url, self._safety, self.config, theirs, writer)
+                self._process = _start(url, self._safety, self.config, theirs, log)
             undo.callback(self._wait_for_the_guard)
             undo.callback(self._post, Kind.HANG_UP)
             met = self._reply("met", START_S + self.config.heartbeat_timeout_s)
@@ -242,6 +251,8 @@ class SupervisedDrone:
         while True:
             try:
                 data = self._socket.recv(1 << 18)
+            except ConnectionResetError:
+                continue  # it ended without reading our last message; its own ones come yet
             except OSError:
                 data = b""
             with self._news:
@@ -257,6 +268,8 @@ class SupervisedDrone:
             self._snapshot = message
         elif message.kind == "text":
             self._texts.append(from_json(Text, message.content))
+        elif message.kind == "log":
+            self.log_trouble = message.content
         elif message.kind == "words":
             self._words = message.content
         elif message.kind == "cut":
@@ -344,7 +357,7 @@ class SupervisedDrone:
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(TOLD_S)
         if self._process.poll() is None:
-            leave(self._process)
+            _leave(self._process)
 
     def _close_socket(self) -> None:
         with suppress(OSError):
@@ -352,18 +365,24 @@ class SupervisedDrone:
         self._reader.join()
         self._socket.close()
 
-    def _close_log(self, writer: TlogWriter) -> None:
-        self.log_trouble = writer.close()
+
+_LEFT: list[subprocess.Popen[bytes]] = []
+
+
+def _leave(process: subprocess.Popen[bytes]) -> None:
+    """Let a process outlive this one, which is neither waited for nor warned about."""
+    _LEFT[:] = [other for other in _LEFT if other.poll() is None]
+    _LEFT.append(process)
 
 
 def _start(
-    url: str, safety: SafetyConfig, config: MavlinkConfig, theirs: MessageSocket, writer: TlogWriter | None
+    url: str, safety: SafetyConfig, config: MavlinkConfig, theirs: MessageSocket, log: BinaryIO | None
 ) -> subprocess.Popen[bytes]:
     """Start the guard: a new program, since a copy of this one would have its threads and its locks."""
-    log = -1 if writer is None else writer.sink.fileno()
+    file = -1 if log is None else log.fileno()
     settings: dict[str, Any] = {
         "url": url, "safety": to_json(safety), "config": to_json(replace(config, tlog=None)),
-        "pilot": theirs.fileno(), "framed": theirs.framed, "log": log, "process": os.getpid(),
+        "pilot": theirs.fileno(), "framed": theirs.framed, "log": file, "process": os.getpid(),
     }  # fmt: skip
     root = str(Path(__file__).parents[4])
     variables = {
@@ -374,7 +393,7 @@ def _start(
     return subprocess.Popen(  # noqa: S603
         [sys.executable, "-m", "cognitivedrone.vehicles.mavlink.guard", json.dumps(settings)],
         stdin=subprocess.DEVNULL,
-        **inheriting([file for file in (theirs.fileno(), log) if file >= 0]),
+        **inheriting([each for each in (theirs.fileno(), file) if each >= 0]),
         env=variables,
         # Its own session: ctrl-C and a terminal that goes away end the pilot process, which the guard notices.
         **own_session(),

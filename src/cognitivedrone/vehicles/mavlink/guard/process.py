@@ -34,11 +34,11 @@ from cognitivedrone.vehicles.mavlink.guard.messages import (
     Inbox,
     Kind,
     Message,
+    MessageSocket,
     Reply,
     Snapshot,
     to_json,
 )
-from cognitivedrone.vehicles.mavlink.message_socket import MessageSocket
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, Text
 
 LOST_S = 0.5
@@ -69,6 +69,7 @@ class GuardProcess:
         self._watched = watched
         """A file that becomes readable when the pilot process ends; -1 is none."""
         self._core = FlightCore(url, Guard(safety), config, log=log.put, threaded=False)
+        self._log = log
         self._inbox = Inbox()
         self._faults: deque[float] = deque()
         self._replies: deque[bytes] = deque(maxlen=1000)
@@ -100,6 +101,7 @@ class GuardProcess:
         self._begin(self._accept)
         while (code := self._code()) is None:
             self._go_on()
+        self._say(Reply("log", self._log.close()))
         self._say(Reply("words", _FINAL_MESSAGES[code]))
         self._send()
         return code

@@ -8,9 +8,9 @@ from __future__ import annotations
 import contextlib
 import re
 import socket
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any, Literal, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
 from cognitivedrone.errors import RunError, did_you_mean
 
@@ -24,89 +24,80 @@ BLOCK = 2048
 _KINDS = ("udpout", "udpin", "tcpin")
 
 
-@dataclass(frozen=True, slots=True)
-class Endpoint:
-    """One end of a link."""
-
-    kind: Literal["udpout", "udpin", "tcpin"]
-    """`udpout` sends first to one address, `udpin` answers senders, `tcpin` accepts connections."""
-    host: str
-    port: int
-    """For `udpin` and `tcpin`, 0 picks a free one."""
-
-
-def endpoint(text: str) -> Endpoint:
-    """Parse "udpout:127.0.0.1:14550", "udpin:..." or "tcpin:..."; raises `RunError` for anything else."""
-    kind, _, address = text.partition(":")
-    host, _, port = address.rpartition(":")
-    if kind not in _KINDS:
-        raise RunError(f"unknown link {text!r} of the simulated vehicle; {did_you_mean(kind, _KINDS)}")
-    if not host or not re.fullmatch("[0-9]{1,5}", port) or int(port) > 65535 or (kind == "udpout" and int(port) == 0):
-        raise RunError(f"the link {text!r} has no host and port; write it as {kind}:127.0.0.1:14550")
-    # mypy does not narrow types by membership.
-    return Endpoint("udpout" if kind == "udpout" else "udpin" if kind == "udpin" else "tcpin", host, int(port))
-
-
-class Port(Protocol):
-    """An open endpoint. Peers are identified by address."""
+class Port(ABC):
+    """An open end of a link. Peers are identified by address."""
 
     address: Address
     """Bound address."""
     datagrams: bool
     """Whether received blocks are complete: a packet never continues in the next one."""
 
+    @abstractmethod
     def receive(self) -> Iterator[tuple[Address, bytes]]:
         """Data received since the last call, with senders."""
-        ...
 
-    def peers(self) -> tuple[Address, ...]:
-        """Peers to send to before they have sent anything."""
-        ...
-
+    @abstractmethod
     def send(self, peer: Address, data: bytes) -> None:
         """Send, or drop the data if the peer does not accept it in time."""
-        ...
 
+    @abstractmethod
+    def peers(self) -> tuple[Address, ...]:
+        """Peers to send to before they have sent anything."""
+
+    @abstractmethod
     def sockets(self) -> list[socket.socket]:
         """Sockets to wait on for incoming data."""
-        ...
 
     def close(self) -> None:
         """Release the address."""
-        ...
+        for each in self.sockets():
+            each.close()
 
 
-def open_port(end: Endpoint) -> Port:
-    """Bind or connect; raises `RunError` if the address cannot be used."""
+def open_port(text: str) -> Port:
+    """Open "udpout:127.0.0.1:14550", which sends first, "udpin:..." or "tcpin:...", which listen.
+
+    For the last two, port 0 picks a free one. Raises `RunError` for anything else, and if the address cannot be used.
+    """
+    kind, _, address = text.partition(":")
+    host, _, port = address.rpartition(":")
+    if kind not in _KINDS:
+        raise RunError(f"unknown link {text!r} of the simulated vehicle; {did_you_mean(kind, _KINDS)}")
+    if not host or not re.fullmatch("[0-9]{1,5}", port) or int(port) > 65535 or (kind == "udpout" and int(port) == 0):
+        raise RunError(f"the link {text!r} has no host and port; write it as {kind}:127.0.0.1:14550")
+    type_ = socket.SOCK_STREAM if kind == "tcpin" else socket.SOCK_DGRAM
+    opened: socket.socket | None = None
     try:
-        return TcpPort(end) if end.kind == "tcpin" else UdpPort(end)
+        family, _, _, _, target = socket.getaddrinfo(host, int(port), type=type_)[0]
+        opened = socket.socket(family, type_)
+        opened.setblocking(False)
+        if kind == "udpout":
+            opened.connect(target)  # also drops datagrams from other senders
+            return _Udp(opened, _address(target))
+        if kind == "udpin":
+            opened.bind(target)
+            return _Udp(opened, None)
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        opened.bind(target)
+        opened.listen(MAX_PEERS)
+        return _Tcp(opened)
     except OSError as error:
+        if opened is not None:
+            opened.close()
         raise RunError(
-            f"the simulated vehicle cannot open {end.kind}:{end.host}:{end.port} ({error.strerror}); "
-            "another program may use the port: stop it, or give another port"
+            f"the simulated vehicle cannot open {text} ({error.strerror}); another program may use the port: stop it,"
+            " or give another port"
         ) from None
 
 
-class UdpPort:
+class _Udp(Port):
     """UDP, either to one peer or from any sender."""
 
     datagrams = True
 
-    def __init__(self, end: Endpoint) -> None:
-        family, _, _, _, target = socket.getaddrinfo(end.host, end.port, type=socket.SOCK_DGRAM)[0]
-        self._socket = socket.socket(family, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        self.only: Address | None = None
-        try:
-            if end.kind == "udpin":
-                self._socket.bind(target)
-            else:
-                self._socket.connect(target)  # also drops datagrams from other senders
-                self.only = _address(target)
-        except OSError:
-            self._socket.close()
-            raise
-        self.address = _address(self._socket.getsockname())
+    def __init__(self, opened: socket.socket, only: Address | None) -> None:
+        self._socket, self._only = opened, only
+        self.address = _address(opened.getsockname())
 
     def receive(self) -> Iterator[tuple[Address, bytes]]:
         """Datagrams; one longer than any MAVLink packet is truncated and fails its checksum."""
@@ -118,46 +109,30 @@ class UdpPort:
             except ConnectionError:
                 continue  # nothing listens there yet
             if data:
-                yield self.only or _address(sender), data
+                yield self._only or _address(sender), data
 
     def send(self, peer: Address, data: bytes) -> None:
-        """Send one datagram."""
         with contextlib.suppress(BlockingIOError, ConnectionError):
-            if self.only:
+            if self._only:
                 self._socket.send(data)
             else:
                 self._socket.sendto(data, peer)
 
     def peers(self) -> tuple[Address, ...]:
-        """The single peer of a port that sends first."""
-        return (self.only,) if self.only else ()
+        return (self._only,) if self._only else ()
 
     def sockets(self) -> list[socket.socket]:
-        """The socket."""
         return [self._socket]
 
-    def close(self) -> None:
-        """Release the port."""
-        self._socket.close()
 
-
-class TcpPort:
+class _Tcp(Port):
     """A listening TCP socket and its connections."""
 
     datagrams = False
 
-    def __init__(self, end: Endpoint) -> None:
-        family, _, _, _, target = socket.getaddrinfo(end.host, end.port, type=socket.SOCK_STREAM)[0]
-        self._listener = socket.socket(family, socket.SOCK_STREAM)
-        try:
-            self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            self._listener.setblocking(False)
-            self._listener.bind(target)
-            self._listener.listen(MAX_PEERS)
-        except OSError:
-            self._listener.close()
-            raise
-        self.address = _address(self._listener.getsockname())
+    def __init__(self, listener: socket.socket) -> None:
+        self._listener = listener
+        self.address = _address(listener.getsockname())
         self._connections: dict[Address, socket.socket] = {}
 
     def receive(self) -> Iterator[tuple[Address, bytes]]:
@@ -178,28 +153,24 @@ class TcpPort:
 
     def send(self, peer: Address, data: bytes) -> None:
         """Send to one connection; one that does not read is closed: a partial packet would corrupt the stream."""
-        connection = self._connections.get(peer)
-        if connection is None:
+        if (connection := self._connections.get(peer)) is None:
             return
         try:
-            if connection.send(data) < len(data):
-                self._drop(peer)
+            whole = connection.send(data) == len(data)
         except OSError:
+            whole = False
+        if not whole:
             self._drop(peer)
-
-    def sockets(self) -> list[socket.socket]:
-        """The listener and the connections."""
-        return [self._listener, *self._connections.values()]
 
     def peers(self) -> tuple[Address, ...]:
-        """The connected peers."""
         return tuple(self._connections)
 
-    def close(self) -> None:
-        """Close the connections and release the port."""
-        for peer in list(self._connections):
-            self._drop(peer)
-        self._listener.close()
+    def sockets(self) -> list[socket.socket]:
+        return [self._listener, *self._connections.values()]
+
+    def _drop(self, peer: Address) -> None:
+        if (connection := self._connections.pop(peer, None)) is not None:  # it may have gone while it was read
+            connection.close()
 
     def _accept(self) -> None:
         while True:
@@ -213,11 +184,6 @@ class TcpPort:
             connection.setblocking(False)
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._connections[_address(sender)] = connection
-
-    def _drop(self, peer: Address) -> None:
-        connection = self._connections.pop(peer, None)
-        if connection is not None:
-            connection.close()
 
 
 def _address(raw: Any) -> Address:

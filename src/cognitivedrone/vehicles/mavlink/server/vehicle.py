@@ -10,9 +10,8 @@ from __future__ import annotations
 import select
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,23 +21,21 @@ from cognitivedrone.frames import yaw_of
 from cognitivedrone.sim.dynamics import BatchedFlight
 from cognitivedrone.sim.gate_monitor import GateEvent
 from cognitivedrone.sim.simulator import Simulator
-from cognitivedrone.types import DroneState, Image
-from cognitivedrone.vehicles.mavlink.server.commands import Commands
+from cognitivedrone.types import DroneState, FloatArray, Image
+from cognitivedrone.vehicles.mavlink.server.commands import Commands, Peer
 from cognitivedrone.vehicles.mavlink.server.modes import FlightModes, Mode, Severity
 from cognitivedrone.vehicles.mavlink.server.parameters import Parameters
-from cognitivedrone.vehicles.mavlink.server.ports import Address, Port, endpoint, open_port
+from cognitivedrone.vehicles.mavlink.server.ports import MAX_PEERS, Address, Port, open_port
 from cognitivedrone.vehicles.mavlink.server.reports import REPORTS, VehicleSnapshot, battery_volts
-from cognitivedrone.vehicles.mavlink.server.targets import Home
 from cognitivedrone.vehicles.mavlink.telemetry import dialect
 
 STEP_TICKS = BatchedFlight.SAMPLE_TICKS
 STEP_S = STEP_TICKS * BatchedFlight.TICK_S
 """Period of `SimulatedVehicle.step`, s."""
-COMPONENT = 1
-"""MAV_COMP_ID_AUTOPILOT1."""
+SYSTEM, COMPONENT = 1, 1
+"""The vehicle's ids; the component is MAV_COMP_ID_AUTOPILOT1."""
 MAX_MESSAGES = 200
 """Maximum number of messages processed per port and step; the rest of a flood is dropped."""
-MAX_PEERS = 8
 FORGET_S = 30.0
 """A UDP peer that is silent for this long is forgotten."""
 _PARAMETERS_PER_STEP = 4
@@ -53,46 +50,14 @@ class VehicleConfig:
     links: tuple[str, ...] = ("udpout:127.0.0.1:14550", "tcpin:127.0.0.1:5760")
     """`udpout:host:port` sends first, as a listening ground station expects; `udpin` and `tcpin` listen. There is no
     authentication: use addresses other than the loopback only on purpose."""
-    system_id: int = 1
     firmware: tuple[int, int] = (4, 6)
     """The version of ArduCopter that it says it is: since 4.7 parameters have other names, units and senses."""
-    latitude: float = -35.363262
-    """Degrees, of the vehicle's initial position; the default is ArduPilot's airfield."""
-    longitude: float = 149.165237
-    altitude: float = 584.0
-    """m above sea level."""
-    wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Steady, world, m/s."""
     battery_minutes: float = 15.0
     """Flight time of a full battery."""
-    ready_after_s: float = 0.0
-    """Arming is refused until then, as while a real estimator settles."""
 
     def __post_init__(self) -> None:
-        if not 1 <= self.system_id <= 254:
-            raise RunError(f"system id {self.system_id} is not valid; give 1 to 254 (255 is the ground station's)")
         if not self.links:
             raise RunError("a simulated vehicle needs a link, such as udpout:127.0.0.1:14550")
-
-
-@dataclass(eq=False)
-class _Peer:
-    """A peer at the other end of a link."""
-
-    port: Port
-    address: Address
-    mav: Any
-    """pymavlink's encoder and parser."""
-    received_at: float
-    """Time of its last message, s."""
-    rates: dict[str, float] = field(default_factory=lambda: {name: rate for name, (_, rate) in REPORTS.items()})
-    due: dict[str, float] = field(default_factory=dict)
-    parameters: deque[str] = field(default_factory=deque)
-    """Parameters still to be sent."""
-
-    def write(self, data: bytes) -> None:
-        """Called by `mav` to send bytes."""
-        self.port.send(self.address, data)
 
 
 class SimulatedVehicle:
@@ -121,18 +86,17 @@ class SimulatedVehicle:
         self._m = dialect()
         self._lock = threading.RLock()
         self._steps = 0
-        self.parameters = Parameters(self.config.system_id, self.config.firmware)
+        self.parameters = Parameters(self.config.firmware)
         self.modes = FlightModes(self.parameters, self._stand(), self.say)
         self._commands = Commands(self._m, self)
-        self._peers: list[_Peer] = []
+        self._peers: list[Peer] = []
         self._ports: list[Port] = []
         try:
             for text in self.config.links:
-                self._ports.append(open_port(endpoint(text)))
+                self._ports.append(open_port(text))
         except RunError:
             self.close()
             raise
-        self._check_ready()
 
     def __enter__(self) -> SimulatedVehicle:
         return self
@@ -150,7 +114,6 @@ class SimulatedVehicle:
         for _ in range(count):
             with self._lock:
                 self.listen()
-                self._check_ready()
                 state = self.simulator.state(0)
                 self.modes.voltage = battery_volts(self.battery)
                 self.simulator.command(0, self.modes.update(state, self.time))
@@ -203,24 +166,7 @@ class SimulatedVehicle:
 
     def snapshot(self) -> VehicleSnapshot:
         """The current state, for reports."""
-        modes = self.modes
-        return VehicleSnapshot(
-            self.time,
-            time.time(),
-            self.simulator.state(0),
-            modes.home,
-            modes.mode,
-            modes.armed,
-            modes.landed,
-            modes.taking_off,
-            modes.ready,
-            self.battery,
-            modes.target,
-            bool(self.parameters["FENCE_ENABLE"]),
-            modes.breaches,
-            modes.breach_count,
-            self.config.firmware,
-        )
+        return VehicleSnapshot(self.time, self.simulator.state(0), self.modes, self.battery, self.config.firmware)
 
     def close(self) -> None:
         """Release the ports."""
@@ -229,22 +175,17 @@ class SimulatedVehicle:
                 port.close()
             self._ports, self._peers = [], []
 
-    def _stand(self) -> Home:
-        """Put the drone on the floor and let it come to rest."""
+    def _stand(self) -> FloatArray:
+        """Put the drone on the floor and let it come to rest; returns its position (3,), world, m."""
         flight = self.simulator.flight
         here = flight.position[0]
         low = np.array([here[0], here[1], self.simulator.airframe.hull_radius])
-        flight.reset(0, low, float(yaw_of(flight.quaternion[0])), wind=np.array(self.config.wind))
+        flight.reset(0, low, float(yaw_of(flight.quaternion[0])))
         for _ in range(round(_SETTLE_S / STEP_S)):
             self.simulator.command(0, np.array([0.0, 0.0, -0.5, 0.0]))
             flight.advance(STEP_TICKS)
-        c = self.config
-        return Home(flight.position[0], c.latitude, c.longitude, c.altitude)
-
-    def _check_ready(self) -> None:
-        left = self.config.ready_after_s - self.time
-        self.modes.ready = left <= 0
-        self.modes.not_ready = "" if left <= 0 else f"PreArm: estimator settles for {left:.0f} s more"
+        position: FloatArray = flight.position[0].copy()
+        return position
 
     def _listen_at(self, port: Port) -> None:
         heeded = 0
@@ -275,15 +216,14 @@ class SimulatedVehicle:
         """Whether a message is addressed to this vehicle or to all, and is not its own."""
         system = getattr(message, "target_system", 0)
         component = getattr(message, "target_component", 0)
-        mine = self.config.system_id
-        return message.get_srcSystem() != mine and system in (0, mine) and component in (0, COMPONENT)
+        return message.get_srcSystem() != SYSTEM and system in (0, SYSTEM) and component in (0, COMPONENT)
 
-    def _find(self, port: Port, address: Address) -> _Peer | None:
+    def _find(self, port: Port, address: Address) -> Peer | None:
         return next((peer for peer in self._peers if peer.port is port and peer.address == address), None)
 
-    def _new_peer(self, port: Port, address: Address) -> _Peer:
-        peer = _Peer(port, address, None, self.time)
-        peer.mav = self._m.MAVLink(peer, srcSystem=self.config.system_id, srcComponent=COMPONENT)
+    def _new_peer(self, port: Port, address: Address) -> Peer:
+        peer = Peer(port, address, None, self.time)
+        peer.mav = self._m.MAVLink(peer, srcSystem=SYSTEM, srcComponent=COMPONENT)
         peer.mav.robust_parsing = True
         return peer
 
@@ -292,7 +232,7 @@ class SimulatedVehicle:
         if self._find(port, address) is None:
             self._keep(self._new_peer(port, address))
 
-    def _keep(self, peer: _Peer) -> bool:
+    def _keep(self, peer: Peer) -> bool:
         """Whether `peer` is known; adds it if there is room."""
         if peer not in self._peers:
             if sum(other.port is peer.port for other in self._peers) >= MAX_PEERS:
@@ -315,12 +255,12 @@ class SimulatedVehicle:
                 snapshot = snapshot or self.snapshot()
                 peer.mav.send(REPORTS[name][0](self._m, snapshot))
 
-    def send_parameter(self, peer: _Peer, name: str) -> None:
+    def send_parameter(self, peer: Peer, name: str) -> None:
         """Send PARAM_VALUE."""
         m = self._m
         kind = {"int8": m.MAV_PARAM_TYPE_INT8, "int16": m.MAV_PARAM_TYPE_INT16, "float": m.MAV_PARAM_TYPE_REAL32}
         p = self.parameters
-        peer.mav.param_value_send(name.encode(), p.reported(name), kind[p.kind(name)], len(p), p.index(name))
+        peer.mav.param_value_send(name.encode(), p.reported(name), kind[p.kind(name)], len(p), p.names.index(name))
 
 
 def serve(
