@@ -136,4 +136,4 @@ def test_a_task_of_another_language_is_not_flown(tmp_path):
     ],
 )  # fmt: skip
 def test_looks_that_a_sentence_denies_are_those_of_gates_alone(sentence, looks):
-    assert Evidence(Understanding()).refused_looks(sentence) == looks
+    assert Evidence(Understanding()).refused(sentence) == looks

@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from queue import Empty, SimpleQueue
 from typing import Final, Protocol
 
@@ -24,7 +24,7 @@ from cognitivedrone.errors import PolicyRaised, ReasonerError, ReasonerFault
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.tasks.directives import HOLD, declines, parse_directive
 from cognitivedrone.tasks.facts import KIND_OF
-from cognitivedrone.tasks.missions import LOOKS, lands
+from cognitivedrone.tasks.missions import shuts, things_of
 from cognitivedrone.types import (
     CONTROL_HZ,
     REASONER_HZ,
@@ -233,40 +233,46 @@ class _Thinker:
 
 
 def _within(goal: SubGoal, image: Image, reasoner: Reasoner, found: Guidance) -> Guidance:
-    """An answer that keeps to a sub-goal: what is flown through otherwise, and gates that are not flown through.
+    """An answer that keeps to a sub-goal: the way through its choices, and gates that are not flown through.
 
     It declines if every gate that fits is forbidden.
     """
-    avoid, things = goal.avoid & LOOKS | goal.rejected, sorted(goal.avoid - LOOKS)
-    for thing in things:
-        avoid |= _showing(thing, image, reasoner)
-    asked = goal.instruction
-    there = reasoner.refine(image, goal.condition) if goal.condition else found
-    if goal.otherwise:
-        absent = declines(there.directive)
-        if not absent and _read_of(goal.condition or goal.instruction, reasoner) == frozenset():
-            absent, there = True, Guidance(HOLD, None, 1 - MAY_READ)
-        asked = goal.otherwise if absent != goal.absent else asked
-    if lands(asked)[0]:
-        return Guidance(asked, None, there.confidence)
-    if asked != goal.instruction or goal.condition or things:  # a reasoner remembers its last answer
-        found = reasoner.refine(image, asked)
-    if (avoid or things) and not reasoner.seen:  # it does not say what else may fit
-        never = [*(f"the {look} gate" for look in sorted(avoid)), *(thing.removeprefix("Fly to ") for thing in things)]
-        found = reasoner.refine(image, f"{asked}, but never through {' or '.join(never)}")
-    if avoid.isdisjoint(map(str, parse_directive(found.directive))):
+    first, asked, seen = goal, goal.instruction, list[bool]()
+    while first.kind == "if":
+        if asked != first.instruction:  # a reasoner remembers its last answer
+            found, asked = reasoner.refine(image, first.instruction), first.instruction
+        if _read_of(asked, reasoner) == frozenset():
+            found = Guidance(HOLD, None, 1 - MAY_READ)
+        seen.append(there := not declines(found.directive))
+        first = (first.then if there else first.otherwise)[0]
+    if first.kind == "land":
+        return Guidance(first.instruction, None, found.confidence, seen=tuple(seen))
+    things = things_of(first.avoid)
+    never = first.avoid.difference(things).union(goal.rejected, *(_showing(thing, image, reasoner) for thing in things))
+    if things or asked != first.instruction:
+        found = reasoner.refine(image, first.instruction)
+    if never and not reasoner.seen:  # it does not say what else may fit
+        shut = [f"the {look} gate" for look in sorted(never)] + [thing.removeprefix("Fly to ") for thing in things]
+        found = reasoner.refine(image, f"{first.instruction}, but never through {' or '.join(shut)}")
+    return replace(_allowed(found, never, reasoner, FITS if not goal.rejected else 0.0), seen=tuple(seen))
+
+
+def _allowed(found: Guidance, never: frozenset[str], reasoner: Reasoner, least: float) -> Guidance:
+    """An answer, or the likeliest gate beside those forbidden that fits with more than a probability, or to hold."""
+    named = parse_directive(found.directive)
+    looks = {panel.color: _look_of(panel) for panel in reasoner.seen}
+    if not shuts(never, {*named, *next((look for color, look in looks.items() if color == named[1]), ())}):
         return found
-    allowed = [(panel.right or 0.0, number) for number, panel in enumerate(reasoner.seen) if _may(panel, avoid)]
-    best, number = max(allowed, default=(0.0, 0))
-    if best <= (0.0 if goal.rejected else FITS):
+    fits = [(panel.right or 0.0, at) for at, panel in enumerate(reasoner.seen) if not shuts(never, _look_of(panel))]
+    best, number = max(fits, default=(0.0, 0))
+    if best <= least:
         return Guidance(HOLD, None, 1.0, present=0.0)
-    return Guidance(f"Fly through the {reasoner.seen[number].color} gate", number, best / sum(p for p, _ in allowed))
+    return Guidance(f"Fly through the {reasoner.seen[number].color} gate", number, best / sum(p for p, _ in fits))
 
 
-def _may(panel: SeenPanel, avoid: frozenset[str]) -> bool:
-    """Whether a gate looks like none that is not flown through."""
-    look = panel.gate
-    return avoid.isdisjoint((panel.color,) if look is None else (panel.color, look.shape, look.size))
+def _look_of(panel: SeenPanel) -> frozenset[str]:
+    """What was read of how a gate looks."""
+    return frozenset({panel.color} if panel.gate is None else {panel.color, panel.gate.shape, panel.gate.size})
 
 
 def _read_of(thing: str, reasoner: Reasoner) -> frozenset[str] | None:

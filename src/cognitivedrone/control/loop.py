@@ -82,9 +82,9 @@ def fly(
     The recorder is notified when `UNAIDED` answers in a row were late.
 
     The pilot declines while the current directive is "Hold position", or while the policy says so (`Policy.declines`).
-    With that directive the drone hovers and the policy is not asked. Where the segment's instruction, never only a
-    directive, is to land on a pad, the loop's own `Lander` flies, and nobody is asked. The recorder is notified of both
-    ends, and of when the policy only holds the position because it is in trouble (`Policy.trouble`).
+    With that directive, or one to land, the drone hovers and the policy is not asked. Where the segment's instruction,
+    never only a directive, is to land on a pad, the loop's own `Lander` flies, and nobody is asked. The recorder is
+    notified of both ends, and of when the policy only holds the position because it is in trouble (`Policy.trouble`).
 
     `real_time` tells the policy whether time goes on while it computes.
     """
@@ -127,7 +127,7 @@ def fly(
                 _poll(reasoner, directive_filter, late_answers, segment, start, clock.now(), log)
         guidance = directive_filter.guidance(clock.now())
         observation = replace(observation, instruction=guidance.directive if guidance else segment.instruction)
-        held = guidance is not None and declines(guidance.directive)
+        held = guidance is not None and (declines(guidance.directive) or lands(guidance.directive)[0])
         if held:
             pending = [np.zeros(4, dtype=np.float32)]
         elif landing:

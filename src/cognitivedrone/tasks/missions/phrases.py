@@ -196,7 +196,7 @@ DESCRIBES: Final = re.compile(r"\b(?:that|which|who|whose|what|whatever|whoever|
 _OPEN = re.compile(r"(?:^|\b)(?:the|an?|any|and|or|of|with|in|on|for|to|that|which)\s*$|^$", re.I)
 _GO = re.compile(rf"{GO}\b", re.I)
 _ON = re.compile(r"(?:and|but)\s+(?:fly|go|head|take|visit|pick|choose|find|look for|get|steer|aim)\b", re.I)
-_STARTS = re.compile(rf"{GO}\b|(?:then|the|an?)\b", re.I)
+_STARTS = re.compile(rf"{GO}\b|(?:then|the|an?|first)\b", re.I)
 
 
 def phrases(text: str) -> Iterator[Token]:
@@ -223,7 +223,12 @@ def phrases(text: str) -> Iterator[Token]:
             at += 1
             continue
         before = {name for last, name in pairwise(["", *found]) if (last, name) != ("NEVER", "TEXT")}
-        begins = run < 0 and not before - {"SEP", "NEVER", "LOOKS", "FIRST"}
+        late = [name for name in found if name != "NOT"][-3:]
+        begins = run < 0 and (
+            not before - {"SEP", "NEVER", "LOOKS", "FIRST"}
+            or late[-1:] == ["ELSE"]
+            or (late[:1] == ["IF"] and late[-1] == "SEP")
+        )
         name, end = _phrase(text, at, "" if run < 0 else text[run:at], numbered, "FIRST" in found, begins=begins)
         if name:
             yield from ended()
@@ -233,12 +238,13 @@ def phrases(text: str) -> Iterator[Token]:
             continue
         word = _WORD.match(text, at)
         assert word is not None  # noqa: S101  (it matches anything but a space)
-        late = next((name for name in reversed(found) if name != "NOT"), "")
-        paused = run >= 0 and late in ("IF", "AFTER", "DONE") and not _OPEN.search(text[run:at])
-        if paused and (_GO if late == "DONE" else _STARTS).match(text, at):
+        last = late[-1] if late else ""
+        paused = run >= 0 and last in ("IF", "AFTER", "DONE") and not _OPEN.search(text[run:at])
+        if paused and (_GO if last == "DONE" else _STARTS).match(text, at):
             yield from ended()
             yield token("SEP", at, at)
-        elif found[-1:] == ["NEVER"] and _ON.match(text, at):
+            continue
+        if found[-1:] == ["NEVER"] and _ON.match(text, at):
             yield from ended()
             yield token("THEN", at, at)
         run, at = (at if run < 0 else run), word.end()
