@@ -150,6 +150,28 @@ if there is a dog take it if there is a cat, otherwise the bus
 if there is no dog take it, otherwise if there is a cat take it, otherwise land
 first the dog, then the cat, never through the red blue gate
 land on the red triangle
+if there is a cat at the red gate, take it, otherwise the dog
+if there is a cat, take the red gate, never through blue, otherwise the green gate
+if there is a cat avoid it, otherwise the dog
+if there is a cat do nothing, otherwise the dog
+if there is a cat land, otherwise the dog, otherwise the bus
+the dog, but not if it is at the red gate
+first the dog but only if it is not at a red gate
+fly to the dog as long as it is not red
+fly to the dog provided that it is not at a blue gate
+take the dog unless it is at the red gate
+first the cat, then the dog via green gates only
+first the cat, cancel that
+first the cat then the dog. Forget the cat.
+cat, dog, horse - no wait, skip the dog
+go to the cat twice, no, three times
+cat two times dog one time
+land on the red pad three times
+land on whichever pad is free
+land on the pad with the dog
+depending on whether there is a cat, land on red or blue
+zuerst der Hund, danach nicht die Katze
+n'importe quoi sauf le chat, puis atterris
 if there is a cat land, otherwise land
 wenn es zwei Hunde gibt, nimm die Katze, sonst das Pferd
 wenn nicht, nimm die Katze, sonst das Pferd
@@ -246,7 +268,6 @@ only through green: first the dog, then the cat
 in reverse order: the dog, then the cat
 first the dog, then stop
 first the dog and then the cat, nothing red
-first the dog, then the cat, not via red
 first the dog then the cat but for heaven's sake not red
 """.strip().splitlines()
 
@@ -299,6 +320,9 @@ def test_of_the_missions_of_the_suite_only_what_nobody_could_be_sure_of_is_refus
         ("never through the dog", {"Fly to the dog"}), ("never through a round gate", {"round"}),
         ("don't use triangles", {"triangle"}), ("nie durch große Tore", {"big"}),
         ("avoid the red triangle and the small blue gate", {"red triangle", "small blue"}),
+        ("without passing the small red one", {"small red"}),
+        ("and please no triangles!", {"triangle"}), ("außer durch rote Tore", {"red"}), ("not via red", {"red"}),
+        ("pas par les triangles bleus", {"blue triangle"}), ("sans passer par le rouge", {"red"}),
         ("stay away from the bus and from blue", {"Fly to the bus", "blue"}),
     ],
 )  # fmt: skip
@@ -313,6 +337,12 @@ def test_things_and_every_look_of_gates_are_forbidden(said, avoid):
          choice("a cat", ["Land on the red pad"], ["Land on the blue pad"])),
         ("land on red if there is a cat, otherwise blue",
          choice("a cat", ["Land on the red pad"], ["Land on the blue pad"])),
+        ("should there be a cat, land on red, otherwise on blue",
+         choice("a cat", ["Land on the red pad"], ["Land on the blue pad"])),
+        ("if the cat is there land on red, else land on blue",
+         choice("the cat", ["Land on the red pad"], ["Land on the blue pad"])),
+        ("si tu vois un chien, d'abord le chat puis le cheval, sinon le bus",
+         choice("un chien", ["Fly to le chat", "Fly to le cheval"], ["Fly to le bus"])),
         ("land on green if there's no cat, otherwise on the red one",
          choice("cat", ["Land on the red pad"], ["Land on the green pad"])),
         ("wenn es einen Hund gibt, lande auf rot, sonst auf blau",
@@ -329,6 +359,23 @@ def test_things_and_every_look_of_gates_are_forbidden(said, avoid):
 )  # fmt: skip
 def test_pads_and_several_steps_may_depend_on_a_condition(said, meant):
     assert sub_goals(said) == (meant,)
+    assert read(said).problem == ""
+
+
+@pytest.mark.parametrize(
+    ("said", "meant"),
+    [
+        ("first the cat, no, first the dog, then the horse", ["Fly to the dog", "Fly to the horse"]),
+        ("first the cat - sorry, the dog - then land", ["Fly to the dog", "Land on the pad"]),
+        ("d'abord le chien, ensuite atterris sur le vert, non, le bleu", ["Fly to le chien", "Land on the blue pad"]),
+        ("fly to the dog exactly twice, then once through the cat",
+         ["Fly to the dog", "Fly to the dog", "Fly through the cat"]),
+        ("2 x cat then the dog", ["Fly to cat", "Fly to cat", "Fly to the dog"]),
+        ("first the dog, then land anywhere but on red", ["Fly to the dog", "Land on the green pad"]),
+    ],
+)  # fmt: skip
+def test_corrections_and_counts_as_people_type_them(said, meant):
+    assert [goal.instruction for goal in sub_goals(said)] == meant
     assert read(said).problem == ""
 
 

@@ -42,15 +42,17 @@ LONGEST_DIRECTIVE = 1000
 """Maximum length in characters."""
 ANSWER_S: Final = 1 / REASONER_HZ + 0.5 / CONTROL_HZ
 """An answer that is older is late: the control step has passed in which the next question was due, s."""
-FITS: Final = 0.05
-"""Where the likeliest gate is forbidden, another is flown through that fits with more than this probability. For R1 at
-the start, another that fits had 0.06 to 0.43 (`open-v3:missions`, 15 stages); where none did, 69 of 76 had less
-(`open-v1:test`)."""
+FITS: Final = 0.1
+"""Where the likeliest gate is forbidden, another is flown through that fits with more than this probability. R1 gave
+more to all 16 gates that fitted, and to 5.8 % of 588 that did not."""
 MAY_SHOW: Final = 0.25
-"""A gate that shows a forbidden thing with more than this probability is not flown through."""
-MAY_READ: Final = 0.02
-"""A panel that is read as a thing with more than this probability may show it. R1 at the start read what was there with
-0.03 to 0.98, and what was not with 0.02 at most (24 stages of `open-v1:test`)."""
+"""A gate that shows a forbidden thing with more than this probability is not flown through, where the reasoner is
+unsure of the sentence. R1 was at 2 stages: the right gates had more, and so had 2 of 4 others."""
+MAY_READ: Final = 0.01
+"""A panel that is read as a thing with more than this probability may show it. R1 read 4.2 % of 1,012 things that were
+there with less, and 0.8 % of 6,300 names of things that were not with more.
+
+All three: first frames of all stages of `open-v3:missions` and `open-v1:test`, `benchmarks/prohibitions.py`."""
 UNAIDED: Final = 40
 """After so many late answers in a row, the policy is said to fly without its reasoner."""
 

@@ -26,7 +26,7 @@ OPENING: Final = re.compile(
 )
 _PLACE_WORDS: Final = re.compile(
     r"on|onto|at|in|to|the|an?|my|your|that|which|is|it|here|there|now|down|softly|gently|safely|again|back|one|pads?|"
-    r"landing|helipad|platform|spot|ground|floor|mat|place|target|home|end|after|afterwards|big|round|please|any|of|you|"
+    r"landing|helipad|platform|spot|ground|floor|mat|place|target|home|end|after|afterwards|big|round|please|any|anywhere|of|you|"
     r"when|done|auf|dem|den|der|das|die|und|sur|le|la|du|sul|sulla|en|el|plateforme|plateau|plattform|or|and|[,;]"
 )
 _UNSURE = re.compile(
@@ -37,11 +37,15 @@ _UNSURE = re.compile(
 """Before a number of times: it is another one, or none that is sure."""
 _MANY = re.compile(
     r"\b(?:and|or|two|three|four|several|many|more|least|only|both|und|oder|zwei|drei|vier|mehrere|viele|beide|"
-    r"et|ou|deux|trois|quatre|plusieurs)\b",
+    r"et|ou|deux|trois|quatre|plusieurs|at|near|behind|beside|next|gate)\b(?! with)",
     re.I,
 )
-"""In a condition: more than one thing is to be there."""
-_TESTED = re.compile(r"\s*(?:\b(?:da|dort|hier|zu sehen|gibt|ist|siehst|findest|est|ici|là)\b\W*)+$", re.I)
+"""In a condition: more than one thing is to be there, or it is to be at a place."""
+_TESTED = re.compile(
+    r"\s*(?:\b(?:da|dort|hier|zu sehen|gibt|ist|siehst|findest|est|ici|là|is|are|there|here|"
+    r"visible|shown|around|in sight)\b\W*)+$",
+    re.I,
+)
 """After the thing of a condition: "wenn es einen Hund gibt"."""
 _DENIES = re.compile(rf"(?:{NEGATION}|other|but|than)$", re.I)
 
@@ -128,7 +132,7 @@ def _count(tokens: Sequence[Token]) -> int:
     """How often, by at most one phrase such as "twice" or "5 times"."""
     if not tokens:
         return 1
-    said = re.sub(r"^an? |\s*(?:times|x)$", "", tokens[0].strip(" ,").lower())
+    said = re.sub(r"^(?:(?:an?|exactly|precisely|just) )+|\s*(?:times?|x)$", "", tokens[0].strip(" ,").lower())
     number = int(said) if said.isdecimal() and len(said) < 3 else NUMBERS.get(said, 0)
     if len(tokens) > 1 or not 1 <= number <= LONGEST:
         raise NotFlownError(f"is to be flown {tokens[0].strip(' ,')!r}; say a whole number of times, 1 to {LONGEST}")

@@ -66,6 +66,7 @@ _NAMED = re.compile(
 )
 _PLACES = re.compile(
     r"\b(?:heli)?pads?\b|\b(?:sonst|sinon|ansonsten|andernfalls)\b|"
+    r"\b(?:(?:but|and|only|not) (?:only )?(?:if|when|unless)|unless|provided(?: that)?|as long as) (?:it|there|you see)\b|"
     r"\b(?:otherwise|else|if not)\b,?\s+(?:there\s+)?(?:to\s+)?(?:the|an?|fly|go)\b",
     re.I,
 )
@@ -100,6 +101,12 @@ _REFUSES = re.compile(
     re.I,
 )
 """Says what is not to be done, and nothing else."""
+_BEGINS = re.compile(
+    rf"\s*[.;!:]|\W*(?:and\s+)?(?:(?:but|just|only)\s+)?"
+    rf"(?:first|then|zuerst|erst|dann|d'abord|puis|ensuite|{GO})\b",
+    re.I,
+)
+"""After a prohibition: it has ended."""
 _ROUTE = re.compile(r"\W*(?:your|the)?\s*(?:first|route|tour|order|mission|start|begin)\b", re.I)
 _SOMEBODY = re.compile(r"(?:you|it|he|she|they|we|i|one|people|who|that|which)\b(?! (?:with|of|showing)\b)", re.I)
 
@@ -161,6 +168,7 @@ def read(sentence: str) -> Reading:
             sure
             or steps > 1
             or names.count("TIMES") > 1
+            or ({"NEVER", "CORRECTION"} <= set(names) and names.count("SEP") > 1)
             or (steps and ({"NOT", "NEVER", "CORRECTION"} & set(names) or _BANS.search(text)))
         ):
             return Reading(
@@ -244,7 +252,7 @@ def _goals(tree: Tree[Any], text: str) -> tuple[SubGoal, ...] | None:
     first = next((child for child in tree.children if isinstance(child, Tree)), None)
     if first is not None and first.data == "forbidden":
         rest = text[first.meta.end_pos :]
-        if not re.match(rf"\s*[.;!:]|\W*(?:and\s+)?(?:(?:but|just|only)\s+)?(?:first|then|{GO})\b", rest, re.I):
+        if not _BEGINS.match(rest):
             if not re.search(rf"\b(?:{LOOK})\b", said_in(first, text), re.I) and not next(
                 tree.find_data("landing"), None
             ):
