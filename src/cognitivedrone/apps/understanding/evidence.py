@@ -16,7 +16,7 @@ from cognitivedrone.models.words.concepts import CLEAR, Concepts
 from cognitivedrone.pilot import Pilot
 from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.tasks.facts import KIND_OF
-from cognitivedrone.tasks.missions import lands
+from cognitivedrone.tasks.missions import lands, look_of
 
 LANGUAGE = "the pilot knows English, and names of common things and colours in German, French, Spanish and Italian"
 _FEW = 3
@@ -91,7 +91,10 @@ class Evidence:
             return frozenset()
         request = self.understanding.understand(sentence)
         things = request.refused if len(request.refused) <= _FEW else ()
-        return request.refused_looks.union(f"Fly to the {lexicon.spoken(label)}" for label in things)
+        looks = request.refused_looks
+        if not re.search(r"\b(?:and|or|nor|und|oder|et|ou)\b|,", sentence):  # one gate of several looks
+            looks = frozenset([look_of(looks)] if looks else [])
+        return looks.union(f"Fly to the {lexicon.spoken(label)}" for label in things)
 
     def as_typed(self, sentence: str) -> bool:
         """Whether the pilot is best told a sentence as it is: most of its words are English, or none is known to be."""

@@ -66,7 +66,8 @@ _NAMED = re.compile(
 )
 _PLACES = re.compile(
     r"\b(?:heli)?pads?\b|\b(?:sonst|sinon|ansonsten|andernfalls)\b|"
-    r"\b(?:(?:but|and|only|not) (?:only )?(?:if|when|unless)|unless|provided(?: that)?|as long as) (?:it|there|you see)\b|"
+    r"\b(?:(?:but|and|only|not) (?:only )?(?:if|when|unless)|unless|provided(?: that)?|as long as) "
+    r"(?:it|there|you see)\b|"
     r"\b(?:otherwise|else|if not)\b,?\s+(?:there\s+)?(?:to\s+)?(?:the|an?|fly|go)\b",
     re.I,
 )
