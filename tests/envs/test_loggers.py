@@ -65,11 +65,13 @@ def test_the_environments_of_cleanrls_ppo_log_each_episode_once():
     """`make_env` and the logging block of its ppo_continuous_action.py, with Gymnasium 1."""
 
     def make_env():
-        env = gym.wrappers.FlattenObservation(made())
+        env: gym.Env = gym.wrappers.FlattenObservation(made())
         env = gym.wrappers.ClipAction(gym.wrappers.RecordEpisodeStatistics(env))
         env = gym.wrappers.NormalizeObservation(env)
         env = gym.wrappers.TransformObservation(env, lambda seen: np.clip(seen, -10, 10), env.observation_space)
-        return gym.wrappers.TransformReward(gym.wrappers.NormalizeReward(env), lambda reward: np.clip(reward, -10, 10))
+        return gym.wrappers.TransformReward(
+            gym.wrappers.NormalizeReward(env), lambda reward: max(-10.0, min(float(reward), 10.0))
+        )
 
     envs = SyncVectorEnv([make_env] * 2, autoreset_mode=AutoresetMode.SAME_STEP)
     envs.reset(seed=1)
