@@ -274,3 +274,36 @@ def test_a_branch_may_be_to_land(goal, directive):
     asked = SimulatedReasoner(Panels())
     asked.ask(Question(0, goal.instruction, FRAME, 0.0, goal=goal))
     assert asked.answer(0.0).guidance.directive == directive
+
+
+def test_a_reasoner_that_is_unsure_leaves_no_forbidden_gate_to_the_policy():
+    class Unsure(Panels):
+        def refine(self, image, instruction):
+            super().refine(image, instruction)
+            raise ReasonerError("unsure", "it cannot tell")
+
+    for avoid, color in (({"red"}, "green"), ({"round"}, None)):
+        asked = SimulatedReasoner(Unsure())
+        goal = SubGoal("fly", "Fly to an animal", avoid=frozenset(avoid))
+        asked.ask(Question(0, goal.instruction, FRAME, 0.0, goal=goal))
+        assert parse_directive(asked.answer(0.0).guidance.directive)[1] == color
+    asked = SimulatedReasoner(Unsure())
+    asked.ask(Question(0, "Fly to an animal", FRAME, 0.0, goal=SubGoal("fly", "Fly to an animal")))
+    assert asked.answer(0.0).fault == "unsure"
+
+
+def test_where_a_gate_is_forbidden_what_was_named_three_times_stays_while_it_is_allowed():
+    class Turns(Panels):
+        turned = False
+
+        def refine(self, image, instruction):
+            return super().refine(image, "Fly to the cat" if self.turned else "Fly to the dog")
+
+    turns = Turns()
+    asked, found = SimulatedReasoner(turns), []
+    for number, avoid in enumerate(["big", "big", "big", "big", "red", "round"]):
+        turns.turned = number > 2
+        goal = SubGoal("fly", "Fly to an animal", avoid=frozenset({avoid}))
+        asked.ask(Question(0, goal.instruction, FRAME, 0.0, goal=goal))
+        found.append(parse_directive(asked.answer(0.0).guidance.directive)[1])
+    assert found == ["red", "red", "red", "red", "green", None]

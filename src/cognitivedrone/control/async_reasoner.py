@@ -22,7 +22,7 @@ from cognitivedrone.control.calls import NO_WATCH, Watch, begin_stage, calling
 from cognitivedrone.control.latency import LatencyModel
 from cognitivedrone.errors import PolicyRaised, ReasonerError, ReasonerFault
 from cognitivedrone.interfaces import Reasoner
-from cognitivedrone.tasks.directives import HOLD, declines, parse_directive
+from cognitivedrone.tasks.directives import HOLD, declines, parse_directive, write_directive
 from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.missions import shuts, things_of
 from cognitivedrone.types import (
@@ -45,6 +45,9 @@ ANSWER_S: Final = 1 / REASONER_HZ + 0.5 / CONTROL_HZ
 FITS: Final = 0.1
 """Where the likeliest gate is forbidden, another is flown through that fits with more than this probability. R1 gave
 more to all 16 gates that fitted, and to 5.8 % of 588 that did not."""
+STAYS: Final = 3
+"""Where gates are forbidden, one that was named in so many answers in a row stays the answer. A drone that turns late
+ended in the forbidden one between them (2 of 42 stages of `open-v3:missions`)."""
 MAY_SHOW: Final = 0.25
 """A gate that shows a forbidden thing with more than this probability is not flown through, where the reasoner is
 unsure of the sentence. R1 was at 2 stages: the right gates had more, and so had 2 of 4 others."""
@@ -215,6 +218,8 @@ class _Thinker:
         self._watch = watch
         self._seed = seed
         self._segment: int | None = None
+        self._chosen: str | None = None
+        self._row = 0
 
     def think(self, question: Question) -> Answer:
         """An answer in any case: an exception or invalid result of the reasoner becomes a fault."""
@@ -229,47 +234,69 @@ class _Thinker:
         if question.segment != self._segment:
             stage = 0 if self._segment is None else question.segment
             begin_stage(reasoner, EpisodeContext(question.instruction, self._seed, stage, question.truth))
-            self._segment = question.segment
-        found = reasoner.refine(question.image, question.instruction)
-        return found if question.goal is None else _within(question.goal, question.image, reasoner, found)
+            self._segment, self._chosen, self._row = question.segment, None, 0
+        if question.goal is None:
+            return reasoner.refine(question.image, question.instruction)
+        found = _within(question.goal, question.image, reasoner, self._chosen if self._row >= STAYS else None)
+        color = parse_directive(found.directive)[1]
+        self._chosen, self._row = color, self._row + 1 if color == self._chosen else 1
+        return found
 
 
-def _within(goal: SubGoal, image: Image, reasoner: Reasoner, found: Guidance) -> Guidance:
+def _within(goal: SubGoal, image: Image, reasoner: Reasoner, chosen: str | None) -> Guidance:
     """An answer that keeps to a sub-goal: the way through its choices, and gates that are not flown through.
 
-    It declines if every gate that fits is forbidden.
+    It declines if every gate that fits is forbidden. The gate whose colour is `chosen` stays the answer.
     """
-    first, asked, seen = goal, goal.instruction, list[bool]()
+    first, seen = goal, list[bool]()
     while first.kind == "if":
-        if asked != first.instruction:  # a reasoner remembers its last answer
-            found, asked = reasoner.refine(image, first.instruction), first.instruction
-        if _read_of(asked, reasoner) == frozenset():
+        found = reasoner.refine(image, first.instruction)
+        if _read_of(first.instruction, reasoner) == frozenset():
             found = Guidance(HOLD, None, 1 - MAY_READ)
         seen.append(there := not declines(found.directive))
         first = (first.then if there else first.otherwise)[0]
-    if first.kind == "land":
-        return Guidance(first.instruction, None, found.confidence, seen=tuple(seen))
-    things = things_of(first.avoid)
+        if first.kind == "land":
+            return Guidance(first.instruction, None, found.confidence, seen=tuple(seen))
+    things, kept = things_of(first.avoid), bool(first.avoid | goal.rejected)
+    found = _answer_to(first.instruction, image, reasoner, kept=kept)
     never = first.avoid.difference(things).union(goal.rejected, *(_showing(thing, image, reasoner) for thing in things))
-    if things or asked != first.instruction:
-        found = reasoner.refine(image, first.instruction)
+    if things:  # a reasoner remembers its last answer
+        found = _answer_to(first.instruction, image, reasoner, kept=kept)
     if never and not reasoner.seen:  # it does not say what else may fit
         shut = [f"the {look} gate" for look in sorted(never)] + [thing.removeprefix("Fly to ") for thing in things]
         found = reasoner.refine(image, f"{first.instruction}, but never through {' or '.join(shut)}")
-    return replace(_allowed(found, never, reasoner, FITS if not goal.rejected else 0.0), seen=tuple(seen))
+    least = 0.0 if goal.rejected else FITS
+    return replace(_allowed(found, never, reasoner, least, chosen), seen=tuple(seen))
 
 
-def _allowed(found: Guidance, never: frozenset[str], reasoner: Reasoner, least: float) -> Guidance:
-    """An answer, or the likeliest gate beside those forbidden that fits with more than a probability, or to hold."""
+def _answer_to(sentence: str, image: Image, reasoner: Reasoner, *, kept: bool) -> Guidance:
+    """A reasoner's answer; an empty one if it is unsure and something is forbidden, of which a policy knows nothing."""
+    try:
+        return reasoner.refine(image, sentence)
+    except ReasonerError as error:
+        if error.kind != "unsure" or not kept or any(panel.right is None for panel in reasoner.seen):
+            raise
+        return Guidance("", None, 0.0)
+
+
+def _allowed(found: Guidance, never: frozenset[str], reasoner: Reasoner, least: float, chosen: str | None) -> Guidance:
+    """An answer that names what is not forbidden, or else the likeliest gate that is not, or to hold.
+
+    That gate fits with more than the probability `least`. An empty answer names none.
+    """
     named = parse_directive(found.directive)
     looks = {panel.color: _look_of(panel) for panel in reasoner.seen}
-    if not shuts(never, {*named, *next((look for color, look in looks.items() if color == named[1]), ())}):
-        return found
+    look_named = next((look for color, look in looks.items() if color == named[1]), frozenset())
     fits = [(panel.right or 0.0, at) for at, panel in enumerate(reasoner.seen) if not shuts(never, _look_of(panel))]
-    best, number = max(fits, default=(0.0, 0))
-    if best <= least:
+    stays = next((fit for fit in fits if never and reasoner.seen[fit[1]].color == chosen), None)
+    if found.directive and not shuts(never, {*named, *look_named}) and (stays is None or named[1] == chosen):
+        return found
+    best, number = stays or max(fits, default=(0.0, 0))
+    if best <= least and stays is None:
         return Guidance(HOLD, None, 1.0, present=0.0)
-    return Guidance(f"Fly through the {reasoner.seen[number].color} gate", number, best / sum(p for p, _ in fits))
+    panel = reasoner.seen[number]
+    directive = f"Fly through the {panel.color} gate" if panel.gate is None else write_directive(panel.gate)
+    return Guidance(directive, number, best / max(sum(p for p, _ in fits), 1e-9))
 
 
 def _look_of(panel: SeenPanel) -> frozenset[str]:

@@ -82,7 +82,8 @@ def fly(
     The recorder is notified when `UNAIDED` answers in a row were late.
 
     The pilot declines while the current directive is "Hold position", or while the policy says so (`Policy.declines`).
-    With that directive, or one to land, the drone hovers and the policy is not asked. Where the segment's instruction,
+    With that directive, or one to land, the drone hovers and the policy is not asked; so it does before the first
+    directive where something is forbidden, or depends on what is seen. Where the segment's instruction,
     never only a directive, is to land on a pad, the loop's own `Lander` flies, and nobody is asked. The recorder is
     notified of both ends, and of when the policy only holds the position because it is in trouble (`Policy.trouble`).
 
@@ -130,6 +131,8 @@ def fly(
         held = guidance is not None and (declines(guidance.directive) or lands(guidance.directive)[0])
         if held:
             pending = [np.zeros(4, dtype=np.float32)]
+        elif guidance is None and segment.goal is not None and (segment.goal.kind == "if" or segment.goal.avoid):
+            pending = [np.zeros(4, dtype=np.float32)]  # nobody has said yet what is not flown through
         elif landing:
             pending = [lander.act(observation, pad)]
         elif not pending:
