@@ -322,23 +322,24 @@ class Guidance:
     """Seconds since the frame that it is based on."""
     present: float | None = None
     """Probability that a gate shows what the instruction asks for, 0 to 1; none if it is not estimated."""
+    seen: tuple[bool, ...] = ()
+    """Of a mission's choice, and of those in the branch that was taken: whether the thing is there."""
 
 
 @dataclass(frozen=True, slots=True)
 class SubGoal:
-    """What one stage of a mission is about."""
+    """A part of a mission: a stage, the landing, or a choice between parts by what is seen when it is reached."""
 
-    kind: Literal["fly", "land"]
+    kind: Literal["fly", "land", "if"]
     instruction: str
-    """A sentence about this stage alone; for the pad to land on its directive."""
-    otherwise: str = ""
-    """What is done if nothing matches the instruction, or the condition: a sentence, or to land; empty for nothing."""
-    condition: str = ""
-    """What must be there for the instruction to be flown, if that is something else."""
+    """A sentence about this stage alone; for the pad to land on its directive; of a choice, what is to be there."""
+    then: tuple[SubGoal, ...] = ()
+    """Of a choice: what is done where that is there."""
+    otherwise: tuple[SubGoal, ...] = ()
+    """Of a choice: what is done where it is not."""
     avoid: frozenset[str] = frozenset()
-    """What is never flown through: colours, shapes and sizes of gates, and sentences that ask for a thing."""
-    absent: bool = False
-    """Whether what the condition asks for must not be there."""
+    """What is never flown through: gates by a look or several ("red", "red triangle"), and sentences that ask for a
+    thing."""
     rejected: frozenset[Color] = frozenset()
     """Of gates that a person ruled out in flight: the next best one is meant, however little it fits."""
 

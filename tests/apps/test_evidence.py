@@ -131,9 +131,30 @@ def test_a_task_of_another_language_is_not_flown(tmp_path):
     ("sentence", "looks"),
     [
         ("a non-red gate", {"red"}), ("the dog, not the red one", {"red"}), ("any gate but blue", {"blue"}),
-        ("through a gate that's neither red nor round", {"red", "round"}), ("nicht das rote Tor", {"red"}),
+        ("through a gate that's neither red nor round", {"red", "round"}),
+        ("not the red triangle", {"red triangle"}), ("nicht das rote Tor", {"red"}),
         ("the dog that is not red", set()), ("the woman without a red hat", set()), ("the red gate", set()),
     ],
 )  # fmt: skip
 def test_looks_that_a_sentence_denies_are_those_of_gates_alone(sentence, looks):
-    assert Evidence(Understanding()).refused_looks(sentence) == looks
+    assert Evidence(Understanding()).refused(sentence) == looks
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "avoid the dog", "not through the dog", "anything but the dog", "anywhere but the dog please",
+        "leave out the dog", "dogs are off limits", "the dog must not be flown through",
+        "everything except the dog", "forget the dog",
+        "évite le chien", "tout sauf le chien", "alles außer dem Hund", "meide den Hund", "the cat, not the dog",
+    ],
+)  # fmt: skip
+def test_a_thing_that_a_sentence_denies_is_not_meant(sentence):
+    assert Evidence(Understanding()).refused(sentence) == {"Fly to the dog"}
+
+
+@pytest.mark.parametrize(
+    "sentence", ["nothing but the dog", "don't forget the dog", "the man without a hat", "no animal"]
+)
+def test_what_sounds_like_a_denial_and_whole_kinds_forbid_no_thing(sentence):
+    assert Evidence(Understanding()).refused(sentence) == frozenset()

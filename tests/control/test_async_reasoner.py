@@ -15,6 +15,7 @@ from cognitivedrone.control.async_reasoner import Question, SimulatedReasoner, T
 from cognitivedrone.errors import ReasonerError
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.tasks.directives import HOLD, parse_directive, write_directive
+from cognitivedrone.tasks.missions import forbidding
 from cognitivedrone.types import EpisodeContext, Gate, GroundTruth, Guidance, SeenPanel, SubGoal
 
 FRAME = np.zeros((256, 256, 3), np.uint8)
@@ -192,6 +193,12 @@ reasoner.close()
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
 
 
+def choice(thing, then, otherwise):
+    """A sub-goal that depends on a thing."""
+    there, absent = ((SubGoal("land" if each.startswith("Land") else "fly", each),) for each in (then, otherwise))
+    return SubGoal("if", thing, there, absent)
+
+
 @pytest.mark.parametrize(("there", "flown"), [(True, "Take the dog"), (False, "Fly to the cat")])
 def test_of_a_condition_what_holds_decides_which_thing_is_asked_for(there, flown):
     class Sees(Remembers):
@@ -201,8 +208,10 @@ def test_of_a_condition_what_holds_decides_which_thing_is_asked_for(there, flown
             return Guidance("Hold position" if absent else "Fly through the blue gate", None, 0.5)
 
     reasoner = Sees()
-    goal = SubGoal("fly", "Take the dog", "Fly to the cat", "Fly to a bus", frozenset({"green"}))
-    SimulatedReasoner(reasoner).ask(Question(0, "Take the dog", FRAME, 0.0, goal=goal))
+    goal = forbidding(choice("Fly to a bus", "Take the dog", "Fly to the cat"), frozenset({"green"}))
+    asked = SimulatedReasoner(reasoner)
+    asked.ask(Question(0, "Fly to a bus", FRAME, 0.0, goal=goal))
+    assert asked.answer(0.0).guidance.seen == (there,)
     assert reasoner.heard[-1] == f"{flown}, but never through the green gate"
 
 
@@ -236,6 +245,8 @@ class Panels(Remembers):
         (SubGoal("fly", "Fly to the bus", avoid=frozenset({"Fly to any animal"})), "blue"),
         (SubGoal("fly", "Fly to an animal", avoid=frozenset({"Fly to what is like a dog"})), "green"),
         (SubGoal("fly", "Fly to an animal", avoid=frozenset({"round"})), None),
+        (SubGoal("fly", "Fly to an animal", avoid=frozenset({"red round"})), "green"),
+        (SubGoal("fly", "Fly to an animal", avoid=frozenset({"red square", "big red"})), "red"),
         (SubGoal("fly", "Fly to an animal", avoid=frozenset({"red"}), rejected=frozenset({"green"})), "blue"),
         (SubGoal("fly", "Fly to an animal", avoid=frozenset({"small", "Fly to the bus"})), None),
     ],
@@ -249,15 +260,50 @@ def test_what_is_forbidden_by_look_or_thing_is_not_flown_through(goal, color):
 @pytest.mark.parametrize(
     ("goal", "directive"),
     [
-        (SubGoal("fly", "Fly to the zebra", "Land on the pad"), "Land on the pad"),
-        (SubGoal("fly", "Fly to a cow", "Land on the pad"), "Land on the pad"),
-        (SubGoal("fly", "Fly to the dog", "Land on the pad"), "Fly through the small red round gate"),
-        (SubGoal("fly", "Fly to the dog", "Land on the pad", "Fly to the bus", absent=True), "Land on the pad"),
-        (SubGoal("fly", "Fly to the dog", "Land on the pad", "Fly to the zebra", absent=True),
-         "Fly through the small red round gate"),
+        (choice("Fly to the zebra", "Fly to the zebra", "Land on the pad"), "Land on the pad"),
+        (choice("Fly to a cow", "Fly to a cow", "Land on the pad"), "Land on the pad"),
+        (choice("Fly to the dog", "Fly to the dog", "Land on the pad"), "Fly through the small red round gate"),
+        (choice("Fly to the bus", "Land on the red pad", "Fly to the dog"), "Land on the red pad"),
+        (choice("Fly to the zebra", "Land on the red pad", "Land on the blue pad"), "Land on the blue pad"),
+        (SubGoal("if", "Fly to the zebra", (SubGoal("fly", "Fly to the zebra"),),
+                 (choice("Fly to the bus", "Fly to the cat", "Land on the pad"),)),
+         "Fly through the small green round gate"),
     ],
 )  # fmt: skip
 def test_a_branch_may_be_to_land(goal, directive):
     asked = SimulatedReasoner(Panels())
     asked.ask(Question(0, goal.instruction, FRAME, 0.0, goal=goal))
     assert asked.answer(0.0).guidance.directive == directive
+
+
+def test_a_reasoner_that_is_unsure_leaves_no_forbidden_gate_to_the_policy():
+    class Unsure(Panels):
+        def refine(self, image, instruction):
+            super().refine(image, instruction)
+            raise ReasonerError("unsure", "it cannot tell")
+
+    for avoid, color in (({"red"}, "green"), ({"round"}, None)):
+        asked = SimulatedReasoner(Unsure())
+        goal = SubGoal("fly", "Fly to an animal", avoid=frozenset(avoid))
+        asked.ask(Question(0, goal.instruction, FRAME, 0.0, goal=goal))
+        assert parse_directive(asked.answer(0.0).guidance.directive)[1] == color
+    asked = SimulatedReasoner(Unsure())
+    asked.ask(Question(0, "Fly to an animal", FRAME, 0.0, goal=SubGoal("fly", "Fly to an animal")))
+    assert asked.answer(0.0).fault == "unsure"
+
+
+def test_where_a_gate_is_forbidden_what_was_named_three_times_stays_while_it_is_allowed():
+    class Turns(Panels):
+        turned = False
+
+        def refine(self, image, instruction):
+            return super().refine(image, "Fly to the cat" if self.turned else "Fly to the dog")
+
+    turns = Turns()
+    asked, found = SimulatedReasoner(turns), []
+    for number, avoid in enumerate(["big", "big", "big", "big", "red", "round"]):
+        turns.turned = number > 2
+        goal = SubGoal("fly", "Fly to an animal", avoid=frozenset({avoid}))
+        asked.ask(Question(0, goal.instruction, FRAME, 0.0, goal=goal))
+        found.append(parse_directive(asked.answer(0.0).guidance.directive)[1])
+    assert found == ["red", "red", "red", "red", "green", None]

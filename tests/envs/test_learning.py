@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ from cognitivedrone.envs.learning import FAILED, PASSED, STATE
 from cognitivedrone.envs.vector import CognitiveDroneVectorEnv
 from cognitivedrone.errors import SimulationError
 
-LEARNING = {"observe": "state", "reward": "progress"}
+LEARNING: dict[str, Any] = {"observe": "state", "reward": "progress"}
+WRONG: list[dict[str, Any]] = [{"reward": "progres"}, {"observe": "pixels"}]
 
 
 def towards(states):
@@ -69,6 +71,6 @@ def test_it_is_an_environment_of_gymnasium_and_says_which_kinds_there_are():
         check_env(env, skip_render_check=True)
     env.close()
     with pytest.raises(SimulationError, match="reward is 'progres'; did you mean 'progress'"):
-        CognitiveDroneEnv("open-v1:smoke", reward="progres")
+        CognitiveDroneEnv("open-v1:smoke", **WRONG[0])
     with pytest.raises(SimulationError, match="observe is 'pixels'"):
-        CognitiveDroneVectorEnv(2, "open-v1:smoke", observe="pixels")
+        CognitiveDroneVectorEnv(2, "open-v1:smoke", **WRONG[1])

@@ -9,6 +9,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from cognitivedrone.envs.gym import CognitiveDroneEnv
 from cognitivedrone.envs.vector import CognitiveDroneVectorEnv
+from cognitivedrone.envs.wrappers import HashInstruction
 
 SUITE, SHORT = "open-v1:smoke", 0.3
 RESERVED = {"episode", "final_info", "final_obs", "final_observation", "TimeLimit.truncated", "r", "l", "t", "_episode"}
@@ -60,13 +61,49 @@ def test_statistics_are_recorded_in_our_own_vector_environment():
     assert len(logged(infos)) >= 2
 
 
-def test_a_monitor_may_add_its_summary_to_the_last_info():
-    env = made()
-    env.reset(seed=0)
-    over, info = False, {}
-    while not over:
-        *_, terminated, truncated, info = env.step(np.zeros(4, np.float32))
-        over = terminated or truncated
+def test_the_environments_of_cleanrls_ppo_log_each_episode_once():
+    """`make_env` and the logging block of its ppo_continuous_action.py, with Gymnasium 1."""
+
+    def make_env():
+        env: gym.Env = gym.wrappers.FlattenObservation(made())
+        env = gym.wrappers.ClipAction(gym.wrappers.RecordEpisodeStatistics(env))
+        env = gym.wrappers.NormalizeObservation(env)
+        env = gym.wrappers.TransformObservation(env, lambda seen: np.clip(seen, -10, 10), env.observation_space)
+        return gym.wrappers.TransformReward(
+            gym.wrappers.NormalizeReward(env), lambda reward: max(-10.0, min(float(reward), 10.0))
+        )
+
+    envs = SyncVectorEnv([make_env] * 2, autoreset_mode=AutoresetMode.SAME_STEP)
+    envs.reset(seed=1)
+    lengths = []
+    for _ in range(8):
+        *_, terminations, truncations, infos = envs.step(np.zeros((2, 4), np.float32))
+        if "final_info" in infos and "episode" in infos["final_info"]:
+            done = infos["final_info"]["_episode"]
+            lengths += infos["final_info"]["episode"]["l"][done].tolist()
+            assert (done == (terminations | truncations)).all()
+    envs.close()
+    assert lengths
+    assert set(lengths) == {3}
+
+
+@pytest.mark.parametrize("many", [False, True])
+def test_the_monitors_of_stable_baselines_write_each_episode_once(many, tmp_path):
+    reason = "Stable Baselines 3 is not installed (pip install stable-baselines3)"
+    monitor = pytest.importorskip("stable_baselines3.common.monitor", reason=reason)
+    vec_env = pytest.importorskip("stable_baselines3.common.vec_env", reason=reason)
+    file = str(tmp_path / "log")
+    one = HashInstruction(made())
+    env = vec_env.DummyVecEnv([lambda: one if many else monitor.Monitor(one, file)])
+    env = vec_env.VecMonitor(env, file) if many else env
+    env.seed(0)
+    env.reset()
+    over = []
+    for _ in range(8):
+        *_, dones, infos = env.step(np.zeros((1, 4), np.float32))
+        over += [info["episode"]["l"] for info, done in zip(infos, dones, strict=True) if done]
+        assert all(("episode" in info) == done for info, done in zip(infos, dones, strict=True))
     env.close()
-    assert "episode" not in info
-    info["episode"] = {"r": 0.0, "l": 3, "t": 0.1}  # as the Monitor of Stable Baselines 3 does, which asserts so much
+    assert over == [3, 3]
+    rows = (tmp_path / "log.monitor.csv").read_text("utf-8").splitlines()
+    assert [row.split(",")[1] for row in rows[1:]] == ["l", "3", "3"]

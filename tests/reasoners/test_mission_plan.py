@@ -37,7 +37,13 @@ GOOD_PLAN = plan(
 )
 GOALS = (
     SubGoal("fly", "Fly to the cat", avoid=frozenset({"red"})),
-    SubGoal("fly", "Fly to the bus", "Fly to the bicycle", avoid=frozenset({"red"})),
+    SubGoal(
+        "if",
+        "Fly to the bus",
+        (SubGoal("fly", "Fly to the bus", avoid=frozenset({"red"})),),
+        (SubGoal("fly", "Fly to the bicycle", avoid=frozenset({"red"})),),
+        frozenset({"red"}),
+    ),
     SubGoal("land", "Land on the blue pad"),
 )
 
@@ -72,7 +78,7 @@ def test_every_key_and_value_of_the_schema_is_explained_in_the_prompt():
         assert f'"{name}"' in plan_prompt()
         assert all(f'"{value}"' in plan_prompt() for value in rule.get("enum", ()))
     example = plan_prompt().partition("Example: ")[2].split("\n")
-    assert [goal.kind for goal in read_plan(example[1])] == ["fly", "fly", "land"]
+    assert [goal.kind for goal in read_plan(example[1])] == ["fly", "if", "land"]
 
 
 def test_a_plan_is_read_in_a_code_block_after_thinking():
@@ -151,5 +157,5 @@ def test_what_a_plan_cannot_say_is_taken_from_the_words(script, vlm):
     said = "first the cat, then the bus, never through the dog, no round gates"
     assert [goal.avoid for goal in plans_with(vlm, said)(said)] == [{"Fly to the dog", "round"}] * 2
     said = "if there is a dog fly to it, otherwise land"
-    assert [goal.otherwise for goal in plans_with(vlm, said)(said)] == ["Land on the pad"]
+    assert [goal.otherwise for goal in plans_with(vlm, said)(said)] == [(SubGoal("land", "Land on the pad"),)]
     assert len(script.bodies) == 1

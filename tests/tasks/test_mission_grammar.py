@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import random
-from dataclasses import replace
 
 import pytest
 
 from cognitivedrone.tasks import SUITES, load_suite
-from cognitivedrone.tasks.missions import is_mission, problem_of, read, sub_goals, told
+from cognitivedrone.tasks.missions import forbidding, is_mission, problem_of, read, sub_goals, told
 from cognitivedrone.types import COLORS, SHAPES, SIZES, SubGoal
 
 THINGS = ("the dog", "the elephant", "the number 7", "the letter B", "the animal that barks", "the banana")
@@ -25,13 +24,25 @@ BANS = (
 JOINTS = (", then ", "; after that ", " and then ", ". Then ", ", dann ", ", puis ", " -> ")
 
 
+def choice(thing: str, *branches: list[str | SubGoal]) -> SubGoal:
+    """A sub-goal that depends on a thing."""
+    there, absent = (
+        tuple(
+            each if isinstance(each, SubGoal) else SubGoal("land" if each.startswith("Land") else "fly", each)
+            for each in branch
+        )
+        for branch in branches
+    )
+    return SubGoal("if", f"Fly to {thing}", there, absent)
+
+
 def made(rng: random.Random) -> tuple[str, tuple[SubGoal, ...]]:
     """A sentence and its meaning."""
     things = rng.sample(THINGS, rng.randint(2, 3))
     steps: list[tuple[str, list[SubGoal]]] = []
     for thing in things:
         other, third = rng.sample([each for each in THINGS if each not in things], 2)
-        count = rng.randint(2, 4)
+        count, color = rng.randint(2, 4), rng.choice(COLORS)
         steps.append(
             rng.choice(
                 [
@@ -40,19 +51,25 @@ def made(rng: random.Random) -> tuple[str, tuple[SubGoal, ...]]:
                     (f"fly through {thing} {count} times", [SubGoal("fly", f"Fly through {thing}")] * count),
                     (f"{other}, no wait, {thing}", [SubGoal("fly", f"Fly to {thing}")]),
                     (f"if there is {thing} take it, otherwise {other}",
-                     [SubGoal("fly", f"Fly to {thing}", f"Fly to {other}")]),
+                     [choice(thing, [f"Fly to {thing}"], [f"Fly to {other}"])]),
                     (f"if there is {third} take {thing}, otherwise {other}",
-                     [SubGoal("fly", f"Take {thing}", f"Fly to {other}", f"Fly to {third}")]),
+                     [choice(third, [f"Take {thing}"], [f"Fly to {other}"])]),
+                    (f"take {thing} if there is {third}, otherwise {other}",
+                     [choice(third, [f"Take {thing}"], [f"Fly to {other}"])]),
                     (f"if there is no {third.removeprefix('the ')}, {thing}, otherwise {other}",
-                     [SubGoal("fly", f"Fly to {other}", f"Fly to {thing}", f"Fly to {third.removeprefix('the ')}")]),
+                     [choice(third.removeprefix("the "), [f"Fly to {other}"], [f"Fly to {thing}"])]),
                     (f"if there is {third} take {thing}, otherwise land",
-                     [SubGoal("fly", f"Take {thing}", "Land on the pad", f"Fly to {third}")]),
-                    (f"if there is {third} land, otherwise take {thing}",
-                     [SubGoal("fly", f"Take {thing}", "Land on the pad", f"Fly to {third}", absent=True)]),
+                     [choice(third, [f"Take {thing}"], ["Land on the pad"])]),
+                    (f"if there is {third} land on the {color} pad, otherwise take {thing}",
+                     [choice(third, [f"Land on the {color} pad"], [f"Take {thing}"])]),
+                    (f"if there is {third}, first {thing} then {other}, otherwise {other} twice",
+                     [choice(third, [f"Fly to {thing}", f"Fly to {other}"], [f"Fly to {other}"] * 2)]),
+                    (f"if there is {third} take it, otherwise if there is {thing} take it, otherwise land",
+                     [choice(third, [f"Fly to {third}"], [choice(thing, [f"Fly to {thing}"], ["Land on the pad"])])]),
                     (f"wenn es {third} gibt, nimm {thing}, sonst {other}",
-                     [SubGoal("fly", f"Nimm {thing}", f"Fly to {other}", f"Fly to {third}")]),
+                     [choice(third, [f"Nimm {thing}"], [f"Fly to {other}"])]),
                     (f"si tu vois {third}, va là, sinon prends {other}",
-                     [SubGoal("fly", f"Fly to {third}", f"Prends {other}")]),
+                     [choice(third, [f"Fly to {third}"], [f"Prends {other}"])]),
                 ]
             )
         )  # fmt: skip
@@ -67,8 +84,10 @@ def made(rng: random.Random) -> tuple[str, tuple[SubGoal, ...]]:
         said = rng.choice(BANS).format(rng.choice((" and ", " or ", ", ", ", and ")).join(banned))
         if rng.random() < 0.2:
             banned, said = ["Fly to the zebra"], "never through the zebra"
+        elif rng.random() < 0.2:
+            banned, said = ["red triangle"], "never through red triangles"
         text = f"{said}; first {text.removeprefix('first ')}" if rng.random() < 0.3 else f"{text}, {said}"
-        goals = [replace(goal, avoid=frozenset(banned)) for goal in goals]
+        goals = [forbidding(goal, frozenset(banned)) for goal in goals]
     if rng.random() < 0.5:
         form, color = rng.choice(list(PADS)), rng.choice(COLORS)
         pad = next(each for each in COLORS if each != color) if PADS[form] else color
@@ -121,13 +140,39 @@ land on the roof
 land on the red house
 land on the pad that is neither red, green nor blue
 land on the pad that is not
-first the dog, then land on red if there is a cat, otherwise blue
 land on red if you see a cat
-if there is a cat land on red, otherwise on blue
-if there is a bus land on the red pad, otherwise take the cat
-if there is a cat, fly to it, otherwise land on red
+if there is a cat land on red, otherwise on red
+if there is a cat land on red, otherwise blue, then the dog
+if there is a cat land on red then the dog, otherwise blue
+if there is a cat land on red, otherwise the yellow pad
+if there is a dog, first the cat then the bird
+if there is a dog take it if there is a cat, otherwise the bus
+if there is no dog take it, otherwise if there is a cat take it, otherwise land
+first the dog, then the cat, never through the red blue gate
+land on the red triangle
+if there is a cat at the red gate, take it, otherwise the dog
+if there is a cat, take the red gate, never through blue, otherwise the green gate
+if there is a cat avoid it, otherwise the dog
+if there is a cat do nothing, otherwise the dog
+if there is a cat land, otherwise the dog, otherwise the bus
+the dog, but not if it is at the red gate
+first the dog but only if it is not at a red gate
+fly to the dog as long as it is not red
+fly to the dog provided that it is not at a blue gate
+take the dog unless it is at the red gate
+first the cat, then the dog via green gates only
+first the cat, cancel that
+first the cat then the dog. Forget the cat.
+cat, dog, horse - no wait, skip the dog
+go to the cat twice, no, three times
+cat two times dog one time
+land on the red pad three times
+land on whichever pad is free
+land on the pad with the dog
+depending on whether there is a cat, land on red or blue
+zuerst der Hund, danach nicht die Katze
+n'importe quoi sauf le chat, puis atterris
 if there is a cat land, otherwise land
-wenn es einen Hund gibt, lande auf rot, sonst auf blau
 wenn es zwei Hunde gibt, nimm die Katze, sonst das Pferd
 wenn nicht, nimm die Katze, sonst das Pferd
 s'il y a un chien et un chat, prends le bus, sinon le cheval
@@ -184,7 +229,6 @@ donut, then coffee, then nap on the blue pad
 fly to the dog, then perch on red
 first the dog, then through the triangle, never through triangles
 first the dog, then the cat, never through the big and small gates
-first the dog, then the cat, avoid the red triangle
 avoid, first the dog then the cat
 first the dog, never, then the cat
 then
@@ -220,12 +264,10 @@ fly 2 to 3 times to the dog
 fly to the dog at most twice
 if there is a bus and a cat take the dog, otherwise the horse
 if there are two dogs take the cat, otherwise the horse
-take the dog if there is one, otherwise land on blue
 only through green: first the dog, then the cat
 in reverse order: the dog, then the cat
 first the dog, then stop
 first the dog and then the cat, nothing red
-first the dog, then the cat, not via red
 first the dog then the cat but for heaven's sake not red
 """.strip().splitlines()
 
@@ -240,9 +282,9 @@ def test_a_hundred_typed_sentences_are_refused():
 
 
 def test_a_refusal_says_what_was_understood_and_what_not():
-    problem = read("first the dog, then the cat, then land on red if there is a cat, otherwise blue").problem
-    assert "understood up to 'first the dog, then the cat, then land on red'" in problem
-    assert "not understood: 'if there is a cat, otherwise blue'" in problem
+    problem = read("first the dog, then the cat if there is a bus, otherwise don't land").problem
+    assert "understood up to 'first the dog, then the cat if there is a bus, otherwise'" in problem
+    assert 'not understood: "don\'t land"' in problem
 
 
 @pytest.mark.parametrize(
@@ -277,6 +319,10 @@ def test_of_the_missions_of_the_suite_only_what_nobody_could_be_sure_of_is_refus
     [
         ("never through the dog", {"Fly to the dog"}), ("never through a round gate", {"round"}),
         ("don't use triangles", {"triangle"}), ("nie durch große Tore", {"big"}),
+        ("avoid the red triangle and the small blue gate", {"red triangle", "small blue"}),
+        ("without passing the small red one", {"small red"}),
+        ("and please no triangles!", {"triangle"}), ("außer durch rote Tore", {"red"}), ("not via red", {"red"}),
+        ("pas par les triangles bleus", {"blue triangle"}), ("sans passer par le rouge", {"red"}),
         ("stay away from the bus and from blue", {"Fly to the bus", "blue"}),
     ],
 )  # fmt: skip
@@ -284,9 +330,53 @@ def test_things_and_every_look_of_gates_are_forbidden(said, avoid):
     assert [goal.avoid for goal in sub_goals(f"first an animal, then the car, {said}")] == [avoid, avoid]
 
 
-def test_a_pad_that_depends_on_a_condition_is_refused_in_these_words():
-    for sentence in ("if there is a cat land on red, otherwise on blue", "the dog if there is one, else land on blue"):
-        assert "pad under a condition; say 'otherwise land'" in read(sentence).problem
+@pytest.mark.parametrize(
+    ("said", "meant"),
+    [
+        ("if there is a cat land on the red pad, otherwise on the blue pad",
+         choice("a cat", ["Land on the red pad"], ["Land on the blue pad"])),
+        ("land on red if there is a cat, otherwise blue",
+         choice("a cat", ["Land on the red pad"], ["Land on the blue pad"])),
+        ("should there be a cat, land on red, otherwise on blue",
+         choice("a cat", ["Land on the red pad"], ["Land on the blue pad"])),
+        ("if the cat is there land on red, else land on blue",
+         choice("the cat", ["Land on the red pad"], ["Land on the blue pad"])),
+        ("si tu vois un chien, d'abord le chat puis le cheval, sinon le bus",
+         choice("un chien", ["Fly to le chat", "Fly to le cheval"], ["Fly to le bus"])),
+        ("land on green if there's no cat, otherwise on the red one",
+         choice("cat", ["Land on the red pad"], ["Land on the green pad"])),
+        ("wenn es einen Hund gibt, lande auf rot, sonst auf blau",
+         choice("einen Hund", ["Land on the red pad"], ["Land on the blue pad"])),
+        ("s'il y a un chat atterris sur le rouge, sinon sur le bleu",
+         choice("un chat", ["Land on the red pad"], ["Land on the blue pad"])),
+        ("the dog if there is one, else land on blue", choice("the dog", ["Fly to the dog"], ["Land on the blue pad"])),
+        ("if there is a dog, first the cat then the bird, otherwise the bus",
+         choice("a dog", ["Fly to the cat", "Fly to the bird"], ["Fly to the bus"])),
+        ("if there is a dog take it and then the cat, otherwise first the bus, then the bike, then land on red",
+         choice("a dog", ["Fly to a dog", "Fly to the cat"],
+                ["Fly to the bus", "Fly to the bike", "Land on the red pad"])),
+    ],
+)  # fmt: skip
+def test_pads_and_several_steps_may_depend_on_a_condition(said, meant):
+    assert sub_goals(said) == (meant,)
+    assert read(said).problem == ""
+
+
+@pytest.mark.parametrize(
+    ("said", "meant"),
+    [
+        ("first the cat, no, first the dog, then the horse", ["Fly to the dog", "Fly to the horse"]),
+        ("first the cat - sorry, the dog - then land", ["Fly to the dog", "Land on the pad"]),
+        ("d'abord le chien, ensuite atterris sur le vert, non, le bleu", ["Fly to le chien", "Land on the blue pad"]),
+        ("fly to the dog exactly twice, then once through the cat",
+         ["Fly to the dog", "Fly to the dog", "Fly through the cat"]),
+        ("2 x cat then the dog", ["Fly to cat", "Fly to cat", "Fly to the dog"]),
+        ("first the dog, then land anywhere but on red", ["Fly to the dog", "Land on the green pad"]),
+    ],
+)  # fmt: skip
+def test_corrections_and_counts_as_people_type_them(said, meant):
+    assert [goal.instruction for goal in sub_goals(said)] == meant
+    assert read(said).problem == ""
 
 
 @pytest.mark.parametrize(
@@ -296,6 +386,9 @@ def test_a_pad_that_depends_on_a_condition_is_refused_in_these_words():
         SubGoal("fly", "Fly to the cat unless there is a bus"),
         SubGoal("fly", "Fly to the red gate", avoid=frozenset({"red"})),
         SubGoal("fly", "Fly on", avoid=frozenset(COLORS)),
+        SubGoal("fly", "Fly to the red triangle", avoid=frozenset({"red triangle"})),
+        SubGoal("if", "Fly to the dog", (SubGoal("fly", "Fly to the dog"),)),
+        choice("the dog", ["Land on the roof"], ["Fly to the cat"]),
         SubGoal("land", "Land on the roof"),
     ],
 )
@@ -306,4 +399,4 @@ def test_the_plan_of_a_reasoner_passes_the_same_checks(goal):
 def test_a_mission_is_told_as_it_was_understood():
     (goal,) = sub_goals("if there is a bus take the dog, otherwise the cat, never through red")
     assert is_mission((goal,))
-    assert told(goal) == "if Fly to a bus is possible: Take the dog, otherwise: Fly to the cat, never through red"
+    assert told(goal) == "if there is a bus: Take the dog; otherwise: Fly to the cat, never through red"

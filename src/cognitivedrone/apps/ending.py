@@ -9,6 +9,7 @@ from cognitivedrone.tasks.matching import asks_the_same
 from cognitivedrone.types import StageResult, Task
 from cognitivedrone.vehicles.contract import Vehicle
 
+_DECLINED = "declined: no gate matches the instruction"
 _UNJUDGED = ("wrong_gate", "false_alarm")
 """Outcomes that may be right where the user asks for something else than the scene."""
 
@@ -25,12 +26,12 @@ def ending_of(vehicle: Vehicle, instruction: str) -> Ending | None:
     return None if vehicle.over is None else Ending("vehicle", vehicle.over)
 
 
-def flown_by_estimate(gates: int, asked: int) -> Ending | None:
-    """How the flight of a vehicle without ground truth ended, once it has flown through as many gates as were asked.
+def flown_by_estimate(gates: int, *, done: bool) -> Ending | None:
+    """How the flight of a vehicle without ground truth ended, once it has flown through all gates that were asked.
 
     `gates` is the pilot's own estimate; nobody but the user knows whether they were the right ones.
     """
-    if not 0 < asked <= gates:
+    if not (done and gates):
         return None
     what = "a gate" if gates == 1 else f"{gates} gates"
     return Ending("flown", f"flew through {what} by its own estimate (not judged)")
@@ -63,7 +64,7 @@ def _in_words(result: StageResult, task: Task, *, judged: bool) -> str:
         shown = "" if task.only is not None else f"{readable(task.options[result.chosen].removesuffix('.dae'))}; "
         return f"flew through gate {result.chosen + 1} ({shown}you judge), after {result.time_s:.1f} s"
     if not judged and result.outcome == "false_alarm":
-        return f"declined: no gate matches the instruction (you judge), after {result.time_s:.1f} s"
+        return f"{_DECLINED} (you judge), after {result.time_s:.1f} s"
     gate = "no gate" if result.chosen is None else f"gate {result.chosen + 1}"
     if task.landing and result.chosen is not None and result.outcome in ("passed", "wrong_gate"):
         wanted = (
@@ -72,7 +73,7 @@ def _in_words(result: StageResult, task: Task, *, judged: bool) -> str:
         return f"landed on the {_pad(task, result.chosen)}{wanted}, after {result.time_s:.1f} s"
     right = "none was right" if result.target is None else f"the right one was {result.target + 1}"
     how = {
-        "passed": f"through {gate}" if result.target is not None else "declined: no gate matches the instruction",
+        "passed": f"through {gate}" if result.target is not None else _DECLINED if task.mission is None else "looked",
         "wrong_gate": f"through {gate}, {right}",
         "hesitated": "hovered, but did not report that no gate matches the instruction",
         "false_alarm": f"declined, but gate {result.target + 1} is right" if result.target is not None else "",

@@ -51,7 +51,7 @@ from cognitivedrone.models.small_file import SmallModel
 from cognitivedrone.pilot import Pilot, open_pilot
 from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.sim.airframe import find_airframe
-from cognitivedrone.tasks.missions import is_mission, lands, read, sub_goals, told
+from cognitivedrone.tasks.missions import is_mission, lands, parts_of, read, sub_goals, told
 from cognitivedrone.types import CONTROL_HZ, Event, SubGoal
 from cognitivedrone.vehicles import check_vehicle, open_vehicle
 from cognitivedrone.vehicles.checklist import Checklist
@@ -112,7 +112,7 @@ def fly_mission(
                 log = FlightLog(out, _about(plan, scene), ros, pilot.reasoner)
                 with watchdog.over(vehicle, partial(log.close, None)):
                     plain = functools.cache(partial(plain_instruction, evidence, scene))
-                    refused = functools.cache(evidence.refused_looks)
+                    refused = functools.cache(evidence.refused)
                     summary = _fly(
                         plan, vehicle, pilot, log, orders, console, keyboard, plain, refused, pace, page, plans, goals
                     )
@@ -170,7 +170,7 @@ def _check_mission(mission: str, *, pads: bool) -> None:
     reading = read(mission)
     if reading.problem:
         raise NotUnderstood(f"the mission {reading.problem}")
-    if not pads and any(lands(goal.instruction)[1] for goal in reading.goals if goal.kind == "land"):
+    if not pads and any(lands(goal.instruction)[1] for goal in parts_of(reading.goals)):
         raise NotUnderstood(NO_PADS)
 
 

@@ -14,9 +14,10 @@ from cognitivedrone.control.closer_look import CloserLook
 from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Segment
 from cognitivedrone.control.passage import Passage
-from cognitivedrone.control.planning import Plans
+from cognitivedrone.control.planning import Plans, Route
+from cognitivedrone.envs.track_runner import TrackRunner
 from cognitivedrone.tasks.directives import HOLD, parse_directive
-from cognitivedrone.tasks.missions import LOOKS, is_mission, lands, read, rejects, sub_goals
+from cognitivedrone.tasks.missions import changed, is_mission, lands, read, rejects, sub_goals, things_of, way
 from cognitivedrone.types import Action, Color, Event, Guidance, Observation, SubGoal
 from cognitivedrone.vehicles.contract import Vehicle
 
@@ -45,7 +46,7 @@ UNKEPT: Final = "only a reasoner keeps to a condition and to what is forbidden; 
 
 def kept_by_none(goal: SubGoal | None) -> bool:
     """Whether a sub-goal asks for what no policy keeps without a reasoner."""
-    return goal is not None and bool(goal.otherwise or goal.avoid)
+    return goal is not None and (goal.kind == "if" or bool(goal.avoid))
 
 
 class Mission:
@@ -60,21 +61,20 @@ class Mission:
         look: CloserLook,
         passage: Passage | None,
         plain: Callable[[str], str | None],
-        refused_looks: Callable[[str], frozenset[str]],
+        refused: Callable[[str], frozenset[str]],
         plans: Plans = sub_goals,
     ) -> None:
         self.segment: Segment | None = None
         self.ending: Ending | None = None
         self._plan, self._vehicle, self._orders, self._now, self._look = plan, vehicle, orders, now, look
         self._passage, self._plain, self._plans = passage, plain, plans
-        self._refused_looks = refused_looks
+        self._refused = refused
         self.aim: Color | None = None
         """Of the gate that the reasoner directs to, once it has answered about this order and stage."""
-        self.to_land = False
-        """Whether it directs to land, as the mission says for what it sees."""
         self._unaided = plan.pilot.reasoner == "none"
         self._stage = 0
         self._order = _Order(plan.instruction or "")
+        self._route: tuple[tuple[int, str], Route] | None = None
 
     def __call__(self) -> Segment | None:
         """The segment of now; none once the flight is over, for the reason `ending`."""
@@ -82,13 +82,13 @@ class Mission:
         gates = self._passage.gates if self._passage is not None else 0
         index = track.index if track is not None else gates
         if index != self._stage:
-            self.aim, self.to_land = None, False
+            self.aim = None
         order = self._newest(index)
         instruction = order.sentence or (track and track.task.mission) or ""
         self.ending = (
             self._orders.ending
             or ending_of(self._vehicle, order.corrections[-1] if order.corrections else instruction.strip())
-            or flown_by_estimate(gates, self._asked(instruction))
+            or flown_by_estimate(gates, done=self._done(instruction, gates))
         )
         if self.ending is None and self._now() >= self._plan.time_limit:
             self.ending = out_of_time(self._vehicle, self._plan.time_limit)
@@ -102,10 +102,10 @@ class Mission:
         of_scene = truth.task.instruction if truth is not None else ""
         self._look.begin(index + order.number)
         goal = self._goal(instruction, of_scene, index)
-        no_pad = goal is not None and goal.kind == "land" and not (truth is not None and truth.task.landing)
-        if no_pad or (goal is not None and self.to_land and lands(goal.otherwise)[0]):
-            why = ": there is no pad here" if no_pad else ""
-            self.ending = Ending("ordered", f"landed where it was, as the mission says{why}")
+        if goal is not None and goal.kind == "if" and truth is not None and truth.task.landing:
+            goal = way([goal])[0]  # pads show nothing
+        if goal is not None and (ends := self._landing(goal, track)):
+            self.ending = ends
             return None
         sentence = instruction if goal is None else goal.instruction
         # The words of a reasoner's own plan are its own: only what people type may be put into English.
@@ -113,16 +113,7 @@ class Mission:
         unkept = self._unaided and kept_by_none(goal)
         plain = sentence if own else None if read(instruction).problem or unkept else self._plain(sentence)
         if goal is not None and not own:
-            asked = (goal.otherwise, goal.condition, *goal.avoid - LOOKS)
-            said = {each: (each and self._plain(each)) or each for each in asked}
-            avoid = frozenset(said.get(each, each) for each in goal.avoid)
-            goal = replace(
-                goal,
-                instruction=plain or goal.instruction,
-                otherwise=said[goal.otherwise],
-                condition=said[goal.condition],
-                avoid=avoid,
-            )
+            goal = changed(goal, self._reworded)
         if plain is None:
             self._look.give_up(UNKEPT if unkept else f"{sentence!r} was not understood")
             plain = self.segment.instruction if self.segment is not None else HOLD
@@ -130,10 +121,41 @@ class Mission:
         self.segment = Segment(index + order.number, plain or of_scene, truth, goal, index, len(order.corrections))
         return self.segment
 
-    def _asked(self, instruction: str) -> int:
-        """Gates to fly through: those of the mission, or of the plan."""
-        goals = self._plans(instruction)
-        return sum(goal.kind == "fly" for goal in goals) if is_mission(goals) else self._plan.gates
+    def saw(self, guidance: Guidance) -> None:
+        """Take the directive of now."""
+        self.aim = parse_directive(guidance.directive)[1]
+        if self._route is not None:
+            self._route[1].seen = guidance.seen
+
+    def _landing(self, goal: SubGoal, track: TrackRunner | None) -> Ending | None:
+        """The end where a landing is due, and no pad is here, nor shown once it has looked."""
+        first = way([goal], self._route[1].seen if self._route is not None else ())[0]
+        if first.kind != "land" or (goal.kind == "if" and not (self._route and self._route[1].seen)):
+            return None
+        pad = goal is first or lands(first.instruction)[1]
+        if track is not None and (track.task.landing or (pad and track.shows_pads_next)):
+            return None
+        return Ending("ordered", f"landed where it was, as the mission says{': there is no pad here' if pad else ''}")
+
+    def _reworded(self, goal: SubGoal) -> SubGoal:
+        """A part of a mission in the words that the pilot is told."""
+        plain = {said: self._plain(said) or said for said in (goal.instruction, *things_of(goal.avoid))}
+        avoid = frozenset(plain.get(each, each) for each in goal.avoid)
+        return replace(goal, instruction=plain[goal.instruction], avoid=avoid)
+
+    def _done(self, instruction: str, gates: int) -> bool:
+        """Whether all gates of the mission, or of the plan, are flown through."""
+        route = self._route_of(instruction)
+        return gates >= self._plan.gates if route is None else route.over(gates)
+
+    def _route_of(self, instruction: str) -> Route | None:
+        """The way through the mission that a sentence is, which begins where it was given; none if it is none."""
+        order, goals = self._order, self._plans(instruction)
+        if not is_mission(goals):
+            self._route = None
+        elif self._route is None or self._route[0] != (order.number, instruction):
+            self._route = (order.number, instruction), Route(goals, order.began)
+        return self._route and self._route[1]
 
     def _newest(self, index: int) -> _Order:
         """The newest order, given at the stage `index`; "no, the other one" is the one before, without this gate.
@@ -152,20 +174,19 @@ class Mission:
             every = (*order.corrections, typed)
             self._order = replace(order, lines=count, corrections=every, corrected=index, avoid=avoid)
         else:
-            self.aim, self.to_land = None, False
+            self.aim = None
             self._order = _Order(typed, count, order.number + 1, index)
         return self._order
 
     def _goal(self, instruction: str, of_scene: str, index: int) -> SubGoal | None:
-        """The sub-goal of now, if the sentence is a mission, which begins where it was given, or was corrected here."""
-        order, goals = self._order, self._plans(instruction)
-        goal = goals[min(index - order.began, len(goals) - 1)] if is_mission(goals) else None
+        """The sub-goal of now, if the sentence is a mission, says what is not meant, or was corrected here."""
+        order, route = self._order, self._route_of(instruction)
+        goal = SubGoal("fly", instruction or of_scene) if route is None else route.at(index)
+        if not self._unaided:
+            goal = changed(goal, lambda part: replace(part, avoid=part.avoid | self._refused(part.instruction)))
         rejected = order.avoid if order.corrected == index else frozenset()
-        refused = frozenset() if self._unaided else self._refused_looks(goal.instruction if goal else instruction)
-        if not rejected | refused:
-            return goal
-        goal = goal or SubGoal("fly", instruction or of_scene)
-        return replace(goal, avoid=goal.avoid | refused, rejected=rejected)
+        goal = replace(goal, rejected=rejected)
+        return goal if route is not None or goal != SubGoal("fly", goal.instruction) else None
 
 
 class Recorder:
@@ -186,8 +207,7 @@ class Recorder:
         if segment is None:
             return
         if guidance is not None:
-            self._mission.aim = parse_directive(guidance.directive)[1]
-            self._mission.to_land = lands(guidance.directive)[0]
+            self._mission.saw(guidance)
         if status.decision != self._decision:
             self._decision = status.decision
             self.note(Event(observation.time, "guard", f"{status.decision}: {status.reason}".rstrip(": ")))

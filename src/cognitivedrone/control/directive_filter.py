@@ -8,6 +8,7 @@ from typing import TypeAlias
 
 from cognitivedrone.choices import AnswerKind
 from cognitivedrone.tasks.directives import HOLD, declines, parse_directive
+from cognitivedrone.tasks.missions import lands
 from cognitivedrone.types import Guidance
 
 _Meaning: TypeAlias = tuple[str | None, ...] | str
@@ -106,4 +107,4 @@ def meaning_of(directive: str) -> _Meaning:
     if declines(directive):
         return HOLD
     parts = parse_directive(directive)
-    return parts if any(parts) else directive.strip().lower()
+    return parts if any(parts) and not lands(directive)[0] else directive.strip().lower()

@@ -89,9 +89,10 @@ def fly(
     sees every frame, for what is in the way, but it does not fly, and only the answer at the end of the look counts.
 
     The pilot declines while the current directive is "Hold position", or while the policy says so (`Policy.declines`).
-    With that directive the drone hovers and the policy is not asked. Where the segment's instruction, never only a
-    directive, is to land on a pad, the loop's own `Lander` flies, and nobody is asked. The recorder is notified of both
-    ends, and of when the policy only holds the position because it is in trouble (`Policy.trouble`).
+    With that directive, or one to land, the drone hovers and the policy is not asked; so it does before the first
+    directive where something is forbidden, or depends on what is seen. Where the segment's instruction,
+    never only a directive, is to land on a pad, the loop's own `Lander` flies, and nobody is asked. The recorder is
+    notified of both ends, and of when the policy only holds the position because it is in trouble (`Policy.trouble`).
 
     `real_time` tells the policy whether time goes on while it computes.
     """
@@ -142,9 +143,12 @@ def fly(
         if looked != looks:
             looked, pending = looks, []
             log.note(Event(clock.now() - start, "hold" if looks else "sure", look.described))
-        held = look.given_up or (not looks and guidance is not None and declines(guidance.directive))
+        led = guidance is not None and (declines(guidance.directive) or lands(guidance.directive)[0])
+        held = look.given_up or (not looks and led)
         if held:
             pending = [np.zeros(4, dtype=np.float32)]
+        elif guidance is None and segment.goal is not None and (segment.goal.kind == "if" or segment.goal.avoid):
+            pending = [np.zeros(4, dtype=np.float32)]  # nobody has said yet what is not flown through
         elif landing:
             pending = [lander.act(observation, pad)]
         elif not pending and (not looks or look.ahead):

@@ -18,7 +18,7 @@ from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.plan import Scenario
 from cognitivedrone.sim.drone_world import DroneWorld, Scenery, Start
 from cognitivedrone.sim.gate_monitor import GateEvent
-from cognitivedrone.tasks.missions import forbidden
+from cognitivedrone.tasks.missions import forbidden, shuts
 from cognitivedrone.types import CONTROL_HZ, GroundTruth, Outcome, Stage, StageResult, Task, Track
 from cognitivedrone.world import geometry, places
 from cognitivedrone.world.appearance import PLAIN, Appearance, photo_appearance, varied_appearance
@@ -173,6 +173,11 @@ class TrackRunner:
         """The current stage; after the end, the last one."""
         return self.stages[-1]
 
+    @property
+    def shows_pads_next(self) -> bool:
+        """Whether pads are shown once the pilot has hovered here: no gate is right, and the next stage is a landing."""
+        return self.task.target is None and self.index + 1 < len(self.track) and self.track[self.index + 1].landing
+
     def truth(self) -> GroundTruth:
         """Ground truth of the current stage."""
         return GroundTruth(self.task, self.stage, self.world.state, self.world.hull_radius, self.world.time)
@@ -276,9 +281,7 @@ def forbidden_gates(task: Task) -> tuple[int, ...]:
     if task.mission is None or task.landing:
         return ()
     avoid = forbidden(task.mission)
-    return tuple(
-        number for number, gate in enumerate(task.gates) if not avoid.isdisjoint((gate.color, gate.shape, gate.size))
-    )
+    return tuple(number for number, gate in enumerate(task.gates) if shuts(avoid, (gate.color, gate.shape, gate.size)))
 
 
 def unflown(task: Task, outcome: Outcome) -> StageResult:

@@ -28,7 +28,7 @@ from cognitivedrone.play.chase import ChaseProcess, jpeg
 from cognitivedrone.policies.small import Small
 from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.sim.airframe import RACER, Airframe
-from cognitivedrone.tasks.missions import told
+from cognitivedrone.tasks.missions import longest, told
 from cognitivedrone.types import CONTROL_HZ, Action, Event, FloatArray, Image, SeenPanel, SubGoal
 from cognitivedrone.vehicles.contract import Vehicle
 from cognitivedrone.world import geometry
@@ -234,10 +234,12 @@ class _Painter:
 
 
 def goals_table(goals: Sequence[SubGoal], index: int) -> list[list[str]]:
-    """Sub-goals, each with its state at a stage: done, doing or to do."""
+    """Sub-goals, each with its state at a stage: done, doing or to do. A choice is taken for as long as it may be."""
+    ends = [longest(goals[: number + 1]) for number in range(len(goals))]
+    begins = [0, *ends][:-1]
     return [
-        [told(goal), "done" if number < index else "doing" if number == index else "to do"]
-        for number, goal in enumerate(goals)
+        [told(goal), "done" if end <= index else "doing" if begin <= index else "to do"]
+        for goal, begin, end in zip(goals, begins, ends, strict=True)
     ]
 
 

@@ -97,7 +97,9 @@ def _sub_goal(entry: object, which: str) -> SubGoal:
     what, otherwise = _sentence(entry, "what", which), _sentence(entry, "otherwise", which)
     if not what:
         raise ReasonerError("schema", f"{which} does not say what to fly to")
-    return SubGoal("fly", what, otherwise, avoid=frozenset(color for color in COLORS if color in avoid))
+    never = frozenset[str](color for color in COLORS if color in avoid)
+    fly, other = (SubGoal("fly", said, avoid=never) for said in (what, otherwise))
+    return SubGoal("if", what, (fly,), (other,), never) if otherwise else fly
 
 
 def _pad(value: object, which: str) -> Color | None:

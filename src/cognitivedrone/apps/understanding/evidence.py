@@ -16,8 +16,11 @@ from cognitivedrone.models.words.concepts import CLEAR, Concepts
 from cognitivedrone.pilot import Pilot
 from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.tasks.facts import KIND_OF
+from cognitivedrone.tasks.missions import lands, look_of
 
 LANGUAGE = "the pilot knows English, and names of common things and colours in German, French, Spanish and Italian"
+_FEW = 3
+"""So many names of things may one word mean, as "bird" does not."""
 _EXAMPLE = "say what to fly to, such as 'fly to the dog'"
 
 
@@ -79,9 +82,19 @@ class Evidence:
         things = any(label.partition("/")[0] in KIND_OF.values() for label in request.labels)
         return things and self.concepts is not None and self.concepts.meant(request.sentence) is None
 
-    def refused_looks(self, sentence: str) -> frozenset[str]:
-        """Looks of gates that a person's sentence says are not meant; they are not flown through."""
-        return self.understanding.understand(sentence).refused_looks if sentence else frozenset()
+    def refused(self, sentence: str) -> frozenset[str]:
+        """Looks of gates, and things, that a person's sentence says are not meant; they are not flown through.
+
+        Of whole kinds of things ("no animal") the pilot's own reading of the sentence decides.
+        """
+        if not sentence or lands(sentence)[0]:
+            return frozenset()
+        request = self.understanding.understand(sentence)
+        things = request.refused if len(request.refused) <= _FEW else ()
+        looks = request.refused_looks
+        if not re.search(r"\b(?:and|or|nor|und|oder|et|ou)\b|,", sentence):  # one gate of several looks
+            looks = frozenset([look_of(looks)] if looks else [])
+        return looks.union(f"Fly to the {lexicon.spoken(label)}" for label in things)
 
     def as_typed(self, sentence: str) -> bool:
         """Whether the pilot is best told a sentence as it is: most of its words are English, or none is known to be."""

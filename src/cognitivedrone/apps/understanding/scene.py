@@ -16,13 +16,14 @@ from cognitivedrone.apps.understanding.request import Request, Understanding
 from cognitivedrone.errors import NotUnderstood
 from cognitivedrone.labels import FolderPack, load_pack
 from cognitivedrone.tasks import Suite, track_at, vocabulary
+from cognitivedrone.tasks.directives import HOLD
 from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.families.human import cast_portrait, person_lacking, person_with, touched_parts
 from cognitivedrone.tasks.families.mission_tasks import landing_task
 from cognitivedrone.tasks.families.symbols import RIVALS, distinct_animals
 from cognitivedrone.tasks.generate import Draw, Panel, Puzzle
 from cognitivedrone.tasks.matching import Match, best_scene
-from cognitivedrone.tasks.missions import LOOKS, asked_of, is_mission, lands, sub_goals, told
+from cognitivedrone.tasks.missions import asked_of, is_mission, lands, shuts, sub_goals, things_of, told, way
 from cognitivedrone.tasks.people import TRAIN_CAST
 from cognitivedrone.tasks.scenario import suite_of
 from cognitivedrone.tasks.suites import drawn_task, suite_of_tasks, suite_of_tracks
@@ -97,39 +98,69 @@ def _mission_scene(
     """A track with a stage for every sub-goal of a mission; a landing without a pad has none."""
     rng = np.random.default_rng([seed, 0, 5])
     tasks: list[Task] = []
-    summary = []
-    for number, goal in enumerate(goals):
-        if goal.kind == "land":
-            summary.append(goal.instruction.lower())
-            pad = lands(goal.instruction)[1]
-            if pad is not None:
-                task = landing_task(pad, int(rng.integers(3)), COLORS, f"made/{seed}-pad")
-                tasks.append(replace(task, mission=asked))
-            continue
+    summary = list[str]()
+    left = tuple(goals)
+    while left:
+        goal, number = left[0], len(summary)
         requests = {said: evidence.request(said) for said in asked_of(goal)}
         for request in requests.values():
             if not request.understood:
                 raise NotUnderstood(f"of sub-goal {number + 1}, {not_understood(request, evidence.understanding)}")
-        # Where something else is to be there, the scene is one without it.
-        request = requests.get(goal.otherwise if goal.condition else goal.instruction) or requests[goal.instruction]
-        hidden = requests[goal.condition].labels if goal.condition else frozenset[str]()
-        never = frozenset[str]().union(*(requests[thing].labels for thing in goal.avoid - LOOKS))
-        for again in range(_DRAWS):
-            task = made_task(request, (seed, 100 * number + 10_000 * again), frozenset().union(*own.values()))
-            gate, shown = task.gates[task.target or 0], [label.partition("@")[0] for label in task.labels]
-            wrong = goal.avoid & {gate.color, gate.shape, gate.size} or shown[task.target or 0] in never
-            if not wrong and hidden.isdisjoint(shown):
-                break
-        else:
-            raise NotUnderstood(f"of sub-goal {number + 1}, all that fits is forbidden; leave out one of the two")
-        meant = _meant(request, task)
-        summary.append(told(goal) if goal.otherwise or goal.avoid else meant)
-        tasks.append(replace(task, instruction=goal.instruction, mission=asked))
+        seen, hidden = _shown_way(goal, requests)
+        first, left = way(left, seen)
+        plain = first.kind == "fly" and goal is first and not goal.avoid
+        if first.kind == "fly" or hidden:
+            task = _stage(goal, first, requests, hidden, (seed, number), frozenset().union(*own.values()))
+            tasks.append(replace(task, mission=asked))
+        summary.append(_meant(requests[goal.instruction], tasks[-1]) if plain else told(goal))
+        if first.kind == "land" and (pad := lands(first.instruction)[1]):
+            task = landing_task(pad, int(rng.integers(3)), COLORS, f"made/{seed}-pad")
+            tasks.append(replace(task, mission=asked))
     if not tasks:
         raise NotUnderstood(f"{asked!r} names no gate to fly through and no pad; say what to fly to first")
     suite = suite_of_tracks(MADE, [tuple(tasks)])
     steps = "; ".join(f"{number}. {each}" for number, each in enumerate(summary, 1))
     return replace(named_scene(suite, 0), summary=f"mission: {steps}", made=True)
+
+
+def _shown_way(goal: SubGoal, requests: Mapping[str, Request]) -> tuple[tuple[bool, ...], frozenset[str]]:
+    """The way through a choice in the scene that is made for it, and labels that are not shown there.
+
+    What is to be flown to if it is there is shown. What else is to be there is not.
+    """
+    seen, hidden = list[bool](), frozenset[str]()
+    while goal.kind == "if":
+        there = goal.then[0].instruction == goal.instruction
+        seen.append(there)
+        hidden |= frozenset() if there else requests[goal.instruction].labels
+        goal = (goal.then if there else goal.otherwise)[0]
+    return tuple(seen), hidden
+
+
+def _stage(
+    goal: SubGoal,
+    first: SubGoal,
+    requests: Mapping[str, Request],
+    hidden: frozenset[str],
+    seed: tuple[int, int],
+    own: frozenset[str],
+) -> Task:
+    """A stage for what is done first of a sub-goal, which shows nothing of `hidden`; to look at, before a landing."""
+    look = first.kind == "land"
+    others = frozenset(f"{kind}/{name}" for name, kind in KIND_OF.items()) - hidden
+    request = Request("", others, others) if look else requests[first.instruction]
+    never = frozenset[str]().union(*(requests[thing].labels for thing in things_of(first.avoid)))
+    for again in range(_DRAWS):
+        task = made_task(request, (seed[0], 100 * seed[1] + 10_000 * again), own)
+        gate, shown = task.gates[task.target or 0], [label.partition("@")[0] for label in task.labels]
+        wrong = shuts(first.avoid, (gate.color, gate.shape, gate.size)) or shown[task.target or 0] in never
+        if hidden.isdisjoint(shown) and (look or not wrong):
+            break
+    else:
+        raise NotUnderstood(f"of sub-goal {seed[1] + 1}, all that fits is forbidden; leave out one of the two")
+    if look:
+        return replace(task, instruction=goal.instruction, directive=HOLD, target=None, family="absent")
+    return replace(task, instruction=first.instruction)
 
 
 def plain_instruction(evidence: Evidence, scene: ChosenScene | None, sentence: str) -> str | None:

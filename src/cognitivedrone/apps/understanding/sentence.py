@@ -27,13 +27,20 @@ _CORRECTIONS = re.compile(
     r"[,.;!?]+\s(?=[^,.;!?]*\binstead\b(?! of))"
 )
 _REFUSALS = re.compile(
-    r"\b(?:anything but|everything but|all but|any (?:gate|one) but|any(?:thing)? except|other than|instead of|"
-    r"rather than|stay away from|"
-    r"away from|stay clear of|steer clear of|except(?: for)?|avoid(?:ing)?|skip(?:ping)?|ignor(?:e|ing)|not|no|never|"
-    r"without|neither|nor|none of|dont|hate|past|nicht|kein\w*|pas|sin|senza|anstatt)\b"
+    r"\b(?:any(?:thing|where) but|everything but|all but|any (?:gate|one) but|any(?:thing)? except|other than|"
+    r"instead of|rather than|stay away from|away from|stay clear of|steer clear of|except(?: for)?|leave out|"
+    r"(?:avoid|skip(?:p)?|bypass|exclud|ignor|omit(?:t)?|(?<!not )forget)(?:e|ing)?|not(?! forget)|no|never|without|"
+    r"neither|nor|none of|dont|hate|past|nicht|niemals|nie|kein\w*|ohne|au(?:ss|ß)er|"
+    r"(?:ver)?meide|pas|jamais|sans|sauf|[eé]vite[rz]?|sin|senza|anstatt|"
+    r"nunca|excepto|salvo|mai|tranne)\b"
 )
+_FORBIDDEN = re.compile(
+    r"\b(?:(?:must|may|should|can|is|are) ?(?:not|n't|never)|cannot|never) (?:to )?be \w+|"
+    r"\b(?:is|are) (?:not allowed|no go|forbidden|off limits|taboo|banned|prohibited|out of bounds)\b"
+)
+"""After what is refused: "dogs are forbidden"."""
 _CLAUSE_ENDS = re.compile(
-    r"[,.;:!?()]+|\s[-\u2013\u2014]+\s|\b(?:(?<!anything )(?<!everything )(?<!all )(?<!any gate )"
+    r"[,.;:!?()]+|\s[-\u2013\u2014]+\s|\b(?:(?<!anything )(?<!anywhere )(?<!everything )(?<!all )(?<!any gate )"
     r"(?<!any one )but|and then|then|just|"
     r"and (?=go|fly|take|choose|pick|find|head|aim)|sondern|mais|sino)\b|"
     r"(?<!not )(?<!to )\b(?=(?:go|fly|head) (?:to|through|thru|for)\b|(?:choose|pick|take) the\b)"
@@ -95,6 +102,8 @@ def wanted_and_refused(text: str) -> tuple[str, str]:
     """The clauses of a normalised text that ask for something, and what the others refuse, each joined."""
     wanted, refused = [], []
     for clause in _CLAUSE_ENDS.split(text):
+        if forbidden := _FORBIDDEN.search(clause):
+            clause = f"not {clause[: forbidden.start()]}"
         refusal = _REFUSALS.search(clause)
         wanted.append(clause[: refusal.start()] if refusal else clause)
         refused.append(clause[refusal.end() :] if refusal else "")

@@ -16,13 +16,12 @@ from cognitivedrone.control.calls import NO_WATCH, Watch, seed_of
 from cognitivedrone.control.closer_look import CloserLook
 from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Segment, fly
-from cognitivedrone.control.planning import Plans, plans_with
+from cognitivedrone.control.planning import Route, plans_with
 from cognitivedrone.control.safety.guarded import GuardedDrone
 from cognitivedrone.envs.track_runner import episode_rng
 from cognitivedrone.errors import PolicyError, PolicyRaised, ReasonerError, RunError
 from cognitivedrone.pilot import Pilot, open_pilot
-from cognitivedrone.tasks.missions import sub_goals
-from cognitivedrone.types import EpisodeResult, Event
+from cognitivedrone.types import EpisodeResult, Event, Guidance
 from cognitivedrone.vehicles import open_vehicle
 
 
@@ -36,7 +35,7 @@ class PilotRunner:
     def __init__(self, job: Job, watch: Watch = NO_WATCH, pilot: Pilot | None = None) -> None:
         self.job = job
         self._watch = watch
-        self._plans: Plans = sub_goals
+        self._route: Route | None = None
         with ExitStack() as undo:
             if pilot is None:
                 pilot = undo.enter_context(open_pilot(job.plan.pilot))
@@ -74,7 +73,7 @@ class PilotRunner:
         guarded: GuardedDrone | None = None
         try:
             if mission := suite.tracks[episode][0].mission:
-                self._plans = plans_with(self.reasoner, mission, self._watch)
+                self._route = Route(plans_with(self.reasoner, mission, self._watch)(mission))
             drone = self.vehicle.take_off(lambda _: True)
             if self.job.plan.guard:
                 runner = self.track_runner
@@ -83,7 +82,7 @@ class PilotRunner:
                 guarded or drone,
                 timed,
                 drone,
-                self._mission,
+                lambda: self._mission(log.guidance),
                 reasoner=async_reasoner,
                 look=CloserLook.of(self.job.plan.pilot.look),
                 recorder=log,
@@ -113,14 +112,15 @@ class PilotRunner:
         """Close the vehicle, and policy and reasoner if they were made here."""
         self._undo.close()
 
-    def _mission(self) -> Segment | None:
+    def _mission(self, guidance: Guidance | None) -> Segment | None:
         if self.track_runner.finished:
             return None
         runner, task, truth = self.track_runner, self.track_runner.task, self.track_runner.truth()
         if task.mission is not None and self.reasoner is not None:
             if self.reasoner.needs_ground_truth:
                 return Segment(runner.index, task.instruction, truth)  # the gold sub-goal
-            goals = self._plans(task.mission)
-            goal = goals[min(runner.index, len(goals) - 1)]
+            assert self._route is not None  # noqa: S101  (a mission is planned before take-off)
+            self._route.seen = guidance.seen if guidance is not None else ()
+            goal = self._route.at(runner.index)
             return Segment(runner.index, goal.instruction, truth, goal)
         return Segment(runner.index, runner.instruction, truth)  # a policy alone gets the whole mission at every stage

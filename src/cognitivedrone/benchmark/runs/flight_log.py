@@ -54,9 +54,12 @@ class FlightLog:
         self.path: list[FloatArray] = []
         self.frames: list[FilmFrame] = []
         self._stages: list[_Stage] = []
+        self.guidance: Guidance | None = None
+        """The directive of the last step."""
 
     def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None:
         """One control step."""
+        self.guidance = guidance
         state = self.track_runner.world.state()
         self.path.append(state.position.copy())
         if self.keep_frames:

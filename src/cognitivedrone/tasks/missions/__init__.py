@@ -1,29 +1,43 @@
 """Missions: one sentence for a whole flight, read into sub-goals, one for each stage. Pure text."""
 
 from cognitivedrone.tasks.missions.corrections import rejects
-from cognitivedrone.tasks.missions.parts import LONGEST, lands, pad_directive
-from cognitivedrone.tasks.missions.phrases import LOOKS
-from cognitivedrone.tasks.missions.reading import (
+from cognitivedrone.tasks.missions.goals import (
     asked_of,
-    forbidden,
+    changed,
     is_mission,
-    problem_of,
-    read,
-    sub_goals,
+    lands,
+    longest,
+    look_of,
+    looks_of,
+    pad_directive,
+    parts_of,
+    shuts,
+    things_of,
     told,
+    way,
 )
+from cognitivedrone.tasks.missions.parts import LONGEST
+from cognitivedrone.tasks.missions.reading import forbidden, forbidding, problem_of, read, sub_goals
 
 __all__ = [
     "LONGEST",
-    "LOOKS",
     "asked_of",
+    "changed",
     "forbidden",
+    "forbidding",
     "is_mission",
     "lands",
+    "longest",
+    "look_of",
+    "looks_of",
     "pad_directive",
+    "parts_of",
     "problem_of",
     "read",
     "rejects",
+    "shuts",
     "sub_goals",
+    "things_of",
     "told",
+    "way",
 ]

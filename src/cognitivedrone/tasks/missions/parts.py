@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, Final
 
 from lark import Token, Tree
 
+from cognitivedrone.tasks.missions.goals import lands, look_of, pad_directive
 from cognitivedrone.tasks.missions.phrases import COLOR_WORDS, GO, LOOK_WORDS, NEGATION, NUMBERS
-from cognitivedrone.types import COLORS, Color, SubGoal
+from cognitivedrone.types import COLORS, SHAPES, SIZES, Color, SubGoal
 
 LONGEST: Final = 12
 """Sub-goals of one mission."""
@@ -26,7 +26,7 @@ OPENING: Final = re.compile(
 )
 _PLACE_WORDS: Final = re.compile(
     r"on|onto|at|in|to|the|an?|my|your|that|which|is|it|here|there|now|down|softly|gently|safely|again|back|one|pads?|"
-    r"landing|helipad|platform|spot|ground|floor|mat|place|target|home|end|after|afterwards|big|round|please|any|of|you|"
+    r"landing|helipad|platform|spot|ground|floor|mat|place|target|home|end|after|afterwards|big|round|please|any|anywhere|of|you|"
     r"when|done|auf|dem|den|der|das|die|und|sur|le|la|du|sul|sulla|en|el|plateforme|plateau|plattform|or|and|[,;]"
 )
 _UNSURE = re.compile(
@@ -37,29 +37,21 @@ _UNSURE = re.compile(
 """Before a number of times: it is another one, or none that is sure."""
 _MANY = re.compile(
     r"\b(?:and|or|two|three|four|several|many|more|least|only|both|und|oder|zwei|drei|vier|mehrere|viele|beide|"
-    r"et|ou|deux|trois|quatre|plusieurs)\b",
+    r"et|ou|deux|trois|quatre|plusieurs|at|near|behind|beside|next|gate)\b(?! with)",
     re.I,
 )
-"""In a condition: more than one thing is to be there."""
-_TESTED = re.compile(r"\s*(?:\b(?:da|dort|hier|zu sehen|gibt|ist|siehst|findest|est|ici|là)\b\W*)+$", re.I)
+"""In a condition: more than one thing is to be there, or it is to be at a place."""
+_TESTED = re.compile(
+    r"\s*(?:\b(?:da|dort|hier|zu sehen|gibt|ist|siehst|findest|est|ici|là|is|are|there|here|"
+    r"visible|shown|around|in sight)\b\W*)+$",
+    re.I,
+)
 """After the thing of a condition: "wenn es einen Hund gibt"."""
 _DENIES = re.compile(rf"(?:{NEGATION}|other|but|than)$", re.I)
 
 
 class NotFlownError(ValueError):
     """A part of a sentence says what cannot be flown; the message follows "the mission"."""
-
-
-def pad_directive(color: Color | None) -> str:
-    """The directive to land on the pad of a colour, or on the only one."""
-    return f"Land on the {color} pad" if color else "Land on the pad"
-
-
-def lands(directive: str) -> tuple[bool, Color | None]:
-    """Whether a directive is to land, and the pad's colour if it names one."""
-    found = re.fullmatch(rf"\W*land on the (?:({'|'.join(COLORS)}) )?pad\W*", directive, re.I)
-    color = found[1].lower() if found is not None and found[1] else None
-    return found is not None, next((known for known in COLORS if known == color), None)
 
 
 def said_in(part: Any, text: str) -> str:
@@ -70,28 +62,8 @@ def said_in(part: Any, text: str) -> str:
 
 def flown(step: Tree[Any], text: str, before: Sequence[SubGoal]) -> list[SubGoal]:
     """The sub-goals of one step: more than one if it is to be flown several times."""
-    trees = [child for child in step.children if isinstance(child, Tree)]
-    if step.data == "if_any":
-        (found,) = flown(trees[0], text, before)
-        return [replace(found, otherwise=_branch(trees[1], text))]
-    if step.data == "conditional":
-        test, act, other = (_TESTED.sub("", said_in(trees[0], text)), *(_branch(tree, text) for tree in trees[1:]))
-        marks = " ".join(str(child) for child in step.children if getattr(child, "type", "") in ("IF", "NOT"))
-        if re.search(r"\bunless\b|in case", marks, re.I):
-            raise NotFlownError(f"has the condition {marks!r}; say 'if there is a dog, take it, otherwise the cat'")
-        if _MANY.search(test) and "number" not in test:
-            raise NotFlownError(f"has the condition {test!r}; name one thing that is to be there")
-        denied = re.search(rf"\b{NEGATION}\b", marks, re.I) is not None
-        here, there = (other, act) if denied else (act, other)  # flown if the tested thing is there, or if it is not
-        if IT.fullmatch(there):
-            raise NotFlownError(f"flies to {test!r} where there is none; say what to fly to then")
-        if lands(here)[0] and lands(there)[0]:
-            raise NotFlownError("lands in any case; say 'land'")
-        if IT.fullmatch(here):
-            return [SubGoal("fly", sentence_of(test), sentence_of(there))]
-        if lands(here)[0]:
-            return [SubGoal("fly", sentence_of(there), here, sentence_of(test), absent=True)]
-        return [SubGoal("fly", sentence_of(here), sentence_of(there), sentence_of(test))]
+    if step.data in ("conditional", "only_if", "if_any"):
+        return [_choice(step, text, before)]
     counts = [child for child in step.children if isinstance(child, Token) and child.type == "TIMES"]
     words = said_in(step, text)
     for token in counts:
@@ -99,56 +71,95 @@ def flown(step: Tree[Any], text: str, before: Sequence[SubGoal]) -> list[SubGoal
         if _UNSURE.search(before_it):
             raise NotFlownError(f"has {before_it + str(token)!r}; say a whole number of times, 1 to {LONGEST}")
     words = " ".join(words.split()).strip(" ,")
-    earlier = next((goal.instruction for goal in reversed(before) if goal.kind == "fly"), "")
+    earlier = before[-1].instruction if before and before[-1].kind == "fly" else ""
     noun = OPENING.sub("", earlier).strip(" .")
     if noun and len(noun.split()) <= 6 and not _HE.search(noun):
         words = _HE.sub(noun, words, count=1)
     return [SubGoal("fly", sentence_of(words))] * _count(counts)
 
 
-def _branch(tree: Tree[Any], text: str) -> str:
-    """What is done in one of the two cases of a condition."""
-    if tree.data != "landing":
-        return said_in(tree, text)
-    if color := pad_of(tree, text):
-        raise NotFlownError(f"lands on the {color} pad under a condition; say 'otherwise land', or name one pad")
-    return pad_directive(None)
+def _choice(step: Tree[Any], text: str, before: Sequence[SubGoal]) -> SubGoal:
+    """The sub-goal of a condition: what is done where it holds, and where it does not."""
+    trees = [child for child in step.children if isinstance(child, Tree)]
+    if step.data == "if_any":
+        then = flown(trees[0], text, before)
+        return SubGoal("if", then[0].instruction, tuple(then), _branch(trees[1], text, None, pads=False))
+    if step.data == "only_if":
+        trees[:2] = reversed(trees[:2])
+    test, (act, other) = _TESTED.sub("", said_in(trees[0], text)), trees[1:]
+    marks = " ".join(str(child) for child in step.children if getattr(child, "type", "") in ("IF", "NOT"))
+    if re.search(r"\bunless\b|in case", marks, re.I):
+        raise NotFlownError(f"has the condition {marks!r}; say 'if there is a dog, take it, otherwise the cat'")
+    if _MANY.search(test) and "number" not in test:
+        raise NotFlownError(f"has the condition {test!r}; name one thing that is to be there")
+    denied = re.search(rf"\b{NEGATION}\b", marks, re.I) is not None
+    done = _branch(act, text, None if denied else test, pads=False)
+    otherwise = _branch(other, text, test if denied else None, pads=done[-1].kind == "land")
+    if done == otherwise and done[-1].kind == "land":
+        raise NotFlownError(f"lands in any case; say {done[-1].instruction.lower()!r}")
+    return SubGoal("if", sentence_of(test), *((otherwise, done) if denied else (done, otherwise)))
+
+
+def _branch(tree: Tree[Any], text: str, there: str | None, *, pads: bool) -> tuple[SubGoal, ...]:
+    """What is done in one of the two cases of a condition, where `there` is what was seen, or nothing.
+
+    With `pads`, a place alone is one to land on: "otherwise on the blue one".
+    """
+    goals = list[SubGoal]()
+    seen = [SubGoal("fly", sentence_of(there))] if there else []
+    acts = [child for child in tree.children if isinstance(child, Tree)] if tree.data in ("branch", "one") else [tree]
+    for act in acts:
+        said = said_in(act, text)
+        if act.data == "landing" or (pads and _is_place(said)):
+            goals.append(SubGoal("land", pad_directive(pad_of(said_in(act.children[-1], text)))))
+        elif not IT.fullmatch(said):
+            goals += flown(act, text, goals or seen)
+        elif not seen:
+            raise NotFlownError(f"flies to {said!r} where it is not there; say what to fly to then")
+        else:
+            goals += seen
+    return tuple(goals)
+
+
+def _is_place(said: str) -> bool:
+    """Whether words name a pad, or one of its colours, and nothing else."""
+    words = re.findall(r"[\w']+", said.lower())
+    places = [word for word in words if word in COLOR_WORDS or word.startswith("pad")]
+    return bool(places) and all(word in COLOR_WORDS or _PLACE_WORDS.fullmatch(word) for word in words)
 
 
 def _count(tokens: Sequence[Token]) -> int:
     """How often, by at most one phrase such as "twice" or "5 times"."""
     if not tokens:
         return 1
-    said = re.sub(r"^an? |\s*(?:times|x)$", "", tokens[0].strip(" ,").lower())
+    said = re.sub(r"^(?:(?:an?|exactly|precisely|just) )+|\s*(?:times?|x)$", "", tokens[0].strip(" ,").lower())
     number = int(said) if said.isdecimal() and len(said) < 3 else NUMBERS.get(said, 0)
     if len(tokens) > 1 or not 1 <= number <= LONGEST:
         raise NotFlownError(f"is to be flown {tokens[0].strip(' ,')!r}; say a whole number of times, 1 to {LONGEST}")
     return number
 
 
-def pad_of(landing: Tree[Any], text: str) -> Color | None:
+def pad_of(place: str) -> Color | None:
     """The pad of a landing, the first that fits; none if any will do, or none is named."""
-    place = [child for child in landing.children if isinstance(child, Tree)][-1]
-    words = re.findall(r"[\w']+|[,;]", said_in(place, text).lower())
     wanted, refused, denied = list[Color](), set[Color](), False
-    for word in words:
+    for word in re.findall(r"[\w']+|[,;]", place.lower()):
         if color := COLOR_WORDS.get(word):
             (refused.add if denied else wanted.append)(color)
         elif _DENIES.match(word):
             denied = not (word == "but" and denied)
         elif not _PLACE_WORDS.fullmatch(word):
             raise NotFlownError(
-                f"asks to land on {said_in(place, text)!r}, where {word!r} is not understood; there are red, "
+                f"asks to land on {place!r}, where {word!r} is not understood; there are red, "
                 "green and blue pads, and 'land' lands where it is"
             )
     allowed = [color for color in wanted or COLORS if color not in refused]
     if len(set(wanted)) > 1 or not allowed or (denied and not refused):
-        raise NotFlownError(f"asks to land on {said_in(place, text)!r}; name one pad: red, green or blue")
+        raise NotFlownError(f"asks to land on {place!r}; name one pad: red, green or blue")
     return allowed[0] if wanted or refused else None
 
 
 def objects_of(said: str) -> set[str]:
-    """What a prohibition names: looks of gates, and things, each as a sentence that asks for it."""
+    """What a prohibition names: gates by one look or several, and things, each as a sentence that asks for it."""
     found = set[str]()
     for part in re.split(r"\s*[,;]\s*(?:and\s+|or\s+|nor\s+)?|\s+(?:and|or|nor|und|oder|et|ou)\s+", said):
         words = re.sub(
@@ -159,14 +170,14 @@ def objects_of(said: str) -> set[str]:
             part,
             flags=re.I,
         ).split()
-        looks = {LOOK_WORDS.get(word.lower()) for word in words}
+        looks = [look for word in words if (look := LOOK_WORDS.get(word.lower()))]
         if re.match(rf"{GO}\b", " ".join(words), re.I):
             raise NotFlownError(f"forbids {said!r}, which is not understood; {SAY}")
-        if any(looks) and (len(looks) > 1 or None in looks):
-            raise NotFlownError(f"forbids {part!r}; forbid gates by one word: a colour, a shape or a size")
+        if looks and (len(looks) < len(words) or any(len({*looks} & {*kind}) > 1 for kind in (COLORS, SHAPES, SIZES))):
+            raise NotFlownError(f"forbids {part!r}; forbid gates by their looks: a colour, a shape or a size")
         if words:
             thing = OPENING.sub("", re.sub(rf"^(?:(?:{NEGATION}|avoid|skip|away|from|do|ever)\s+)+", "", part.strip()))
-            found |= {look for look in looks if look} or {f"Fly to {thing}"}
+            found.add(look_of({*looks}) if looks else f"Fly to {thing}")
     if not found:
         raise NotFlownError(f"forbids {said!r}, which is not understood; {SAY}")
     return found

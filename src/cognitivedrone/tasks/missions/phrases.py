@@ -60,13 +60,14 @@ STRANGE: Final = re.compile(
     r"falls|sinon|sonst|ansonsten|andernfalls|instead|other than|rather than|except\w*|avoid\w*|skip\w*|ignor\w*|"
     r"omit\w*|exclud\w*|bypass\w*|forbid\w*|prohibit\w*|beware|refrain|leave out|stay away|keep (?:away|off|clear)|"
     r"times|twice|thrice|once(?! you)|atterri[rst]\w*|aterri\w+|off limits|banned|taboo|not allowed|non(?=[- ])|"
-    r"mind the|than|forget|watch out|careful|don'?t|do not)\b",
+    r"mind the|than|forget|watch out|careful|don'?t|do not|only (?:if|when|through|via|by)|only(?=\W*$)|via|as long as|"
+    r"provided|cancel|abort|undo|scratch)\b",
     re.I,
 )
 """Words of landings, conditions, prohibitions and counts: none is a part of what is flown to."""
 NUMBERS: Final = {
-    "twice": 2, "thrice": 3, "one": 1, "two": 2, "three": 3, "four": 4, "five": 5, "six": 6, "seven": 7, "eight": 8,
-    "nine": 9, "ten": 10, "eleven": 11, "twelve": 12, "dozen": 12,
+    "once": 1, "twice": 2, "thrice": 3, "one": 1, "two": 2, "three": 3, "four": 4, "five": 5, "six": 6, "seven": 7,
+    "eight": 8, "nine": 9, "ten": 10, "eleven": 11, "twelve": 12, "dozen": 12,
 }  # fmt: skip
 LOOK = "|".join(LOOK_WORDS)
 _LOOKS = re.compile(
@@ -104,14 +105,16 @@ _PATTERNS: Final = {
         "CORRECTION": r"[,;.!?\s]*\b(?:(?:no+|oh|haha)[ ,.!-]{1,3}){0,3}(?:wait|i mean|i meant|scratch that|make that|"
         r"actually|"
         r"or rather|correction|forget that|just kidding|"
-        r"never ?mind|nvm|sorry|oops|nein|doch|pardon|plut[oô]t|no)\b"
+        r"never ?mind|nvm|sorry|oops|nein|doch|pardon|plut[oô]t|no|non(?=,))\b"
         r"(?:[ ,.!-]{1,3}(?:no|wait|actually|rather|sorry|i mean|i meant|better)\b){0,3}"
         r"(?:[,.;!-]+\s*|\s+(?=(?:the|an?|to|on|go|fly|land|not)\b)|(?<=mean)\s+|(?<=that)\s+|(?<=rather)\s+|"
         r"(?<=wait)\s+)",
         "IN_ORDER": r",?\s*in\s+(?:that|this|the\s+given)\s+(?:order|sequence)(?=\W*$)",
-        "NEVER": rf"{_EDGE}\b(?:(?:never|not ever|do not|don'?t|must ?n[o']t|without|nie(?:mals)?|ne|nicht|ohne|sans|"
-        r"jamais|not)\s+(?:ever\s+)?(?:(?:fly(?:ing)?|go(?:ing)?|pass(?:ing)?|passer?|fliegen?)\s+)?(?:pas\s+)?"
-        r"(?:through|thru|past|take|taking|use|using|enter(?:ing)?|touch(?:ing)?|cross(?:ing)?|durch|par)|"
+        "NEVER": rf"{_EDGE}(?:please\s+)?\b(?:(?:never|not ever|do not|don'?t|must ?n[o']t|without|nie(?:mals)?|ne|"
+        r"nicht|ohne|sans|jamais|not|pas|außer|sauf|except)\s+(?:ever\s+)?"
+        r"(?:(?:fly(?:ing)?|go(?:ing)?|pass(?:ing)?|passer?|fliegen?)\s+)?(?:pas\s+)?"
+        r"(?:through|thru|past|near|via|take|taking|use|using|enter(?:ing)?|touch(?:ing)?|cross(?:ing)?|pass(?:ing)?|"
+        r"visit(?:ing)?|hit(?:ting)?|approach(?:ing)?|durch|par)|"
         r"avoid(?:ing)?|"
         r"skip(?:ping)?|ignor(?:e|ing)|omit(?:ting)?|bypass(?:ing)?|leave out|(?:stay|keep)(?:ing)? (?:away|clear|"
         r"off|out)"
@@ -149,14 +152,19 @@ _PATTERNS: Final = {
         r"andernfalls)\b[,\s]*(?:(?:just|simply|please)\s+)?",
         "IF_ANY": r"if\s+(?:there(?:'s|\s+is)\s+(?:one|any)|you\s+(?:can\s+)?(?:see|find|spot)\s+(?:one|it|any))\b",
         "IF": r"(?:and\s+)?(?:s'il (?:n'y|y) (?:en )?a|gibt es|"
-        r"(?:wenn|falls|si)\s+(?=(?:der|die|das|eine?n?|le|la|une?)\b)|(?:if|wenn|falls|si|in case|unless)\s+"
+        r"(?:wenn|falls|si)\s+(?=(?:der|die|das|eine?n?|le|la|une?)\b)|(?:when|should)\s+there\s+(?:is|are|be)\b|"
+        r"(?:if|when)\s+(?=(?:the|an?)\s[^,;.]*\b(?:is|are)\s+(?:there|here|visible|shown|around|in\s+sight)\b)|"
+        r"(?:if|wenn|falls|si|in case|unless)\s+"
         r"(?:there(?:'?s|\s+are|\s+is)?(?!\w|"
         r"')|there (?=isn|aren)|"
         r"you\s+(?:can\s+|do ?n[o']?t\s+|can(?:no|')t\s+)?(?:see|find|spot)|(?:one of them|one|a gate|"
         r"any gate)\s+(?:shows|has)|"
         r"es\b|du\b|da\b|dort\b|il y a|tu (?:ne )?(?:vois|trouves)|no\b|not\b))",
-        "TIMES": rf"[,\s]*(?:\b(?:twice|thrice)\b|(?:(?<!\S)an?\s+)?(?<!\S){_COUNT}\s+times\b|"
-        rf"(?<!\S){_COUNT}\s?x(?=\s+(?:the|an?)\b|\s*(?:$|[,;.])))"
+        "TIMES": r"[,\s]*(?:\b(?:exactly|precisely|just)\s+)?"
+        r"(?:\b(?:twice|thrice)\b|once\b(?=\s+(?:through|to|the)\b)|"
+        rf"(?:(?<!\S)an?\s+)?(?<!\S){_COUNT}\s+times\b|"
+        rf"(?<!\S){_COUNT}\s?x(?=\s+[^\W\d]{{2}}|\s*(?:$|[,;.]))|"
+        r"one\s+time\b)"
         rf"(?!\s+\d|\s+(?:{'|'.join(NUMBERS)})\b|\s+(?:too|as|over|when)\b)",
         "BEFORE": rf"(?:before|prior to)\s+{_VISITING}(?={_THING}|{LANDING})",
         "AFTER": rf"after\s+(?={_THING})",
@@ -193,10 +201,14 @@ _NUMBERED = re.compile(
 )
 _WORD = re.compile(r"\(?[^\s,;.!?:()\u2026]+(?:[,;.!?:()\u2026]+(?=[^\s,;.!?:()\u2026])[^\s,;.!?:()\u2026]+)*\)?|\S")
 DESCRIBES: Final = re.compile(r"\b(?:that|which|who|whose|what|whatever|whoever|with)\b", re.I)
-_OPEN = re.compile(r"(?:^|\b)(?:the|an?|any|and|or|of|with|in|on|for|to|that|which)\s*$|^$", re.I)
+_OPEN = re.compile(
+    r"(?:^|\b)(?:the|an?|any|and|or|of|with|in|on|for|to|that|which|at|by|near|behind|beside|under|above|from|than|"
+    r"no|not|nor)\s*$|^$",
+    re.I,
+)
 _GO = re.compile(rf"{GO}\b", re.I)
 _ON = re.compile(r"(?:and|but)\s+(?:fly|go|head|take|visit|pick|choose|find|look for|get|steer|aim)\b", re.I)
-_STARTS = re.compile(rf"{GO}\b|(?:then|the|an?)\b", re.I)
+_STARTS = re.compile(rf"{GO}\b|(?:then|the|an?|first)\b", re.I)
 
 
 def phrases(text: str) -> Iterator[Token]:
@@ -223,7 +235,12 @@ def phrases(text: str) -> Iterator[Token]:
             at += 1
             continue
         before = {name for last, name in pairwise(["", *found]) if (last, name) != ("NEVER", "TEXT")}
-        begins = run < 0 and not before - {"SEP", "NEVER", "LOOKS", "FIRST"}
+        late = [name for name in found if name != "NOT"][-3:]
+        begins = run < 0 and (
+            not before - {"SEP", "NEVER", "LOOKS", "FIRST"}
+            or late[-1:] in (["ELSE"], ["CORRECTION"])
+            or (late[:1] == ["IF"] and late[-1] == "SEP")
+        )
         name, end = _phrase(text, at, "" if run < 0 else text[run:at], numbered, "FIRST" in found, begins=begins)
         if name:
             yield from ended()
@@ -233,12 +250,13 @@ def phrases(text: str) -> Iterator[Token]:
             continue
         word = _WORD.match(text, at)
         assert word is not None  # noqa: S101  (it matches anything but a space)
-        late = next((name for name in reversed(found) if name != "NOT"), "")
-        paused = run >= 0 and late in ("IF", "AFTER", "DONE") and not _OPEN.search(text[run:at])
-        if paused and (_GO if late == "DONE" else _STARTS).match(text, at):
+        last = late[-1] if late else ""
+        paused = run >= 0 and last in ("IF", "AFTER", "DONE") and not _OPEN.search(text[run:at])
+        if paused and (_GO if last == "DONE" else _STARTS).match(text, at):
             yield from ended()
             yield token("SEP", at, at)
-        elif found[-1:] == ["NEVER"] and _ON.match(text, at):
+            continue
+        if found[-1:] == ["NEVER"] and _ON.match(text, at):
             yield from ended()
             yield token("THEN", at, at)
         run, at = (at if run < 0 else run), word.end()

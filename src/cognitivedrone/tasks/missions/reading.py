@@ -19,20 +19,30 @@ from lark import Lark, Token, Tree
 from lark.exceptions import UnexpectedInput
 from lark.lexer import Lexer
 
+from cognitivedrone.tasks.missions.goals import (
+    asked_of,
+    asks_for,
+    changed,
+    is_mission,
+    lands,
+    longest,
+    looks_of,
+    pad_directive,
+    parts_of,
+    things_of,
+)
 from cognitivedrone.tasks.missions.parts import (
     IT,
     LONGEST,
     SAY,
     NotFlownError,
     flown,
-    lands,
     objects_of,
-    pad_directive,
     pad_of,
     said_in,
     sentence_of,
 )
-from cognitivedrone.tasks.missions.phrases import DESCRIBES, GO, LOOK, LOOK_WORDS, LOOKS, NEGATION, STRANGE, phrases
+from cognitivedrone.tasks.missions.phrases import DESCRIBES, GO, LOOK, NEGATION, STRANGE, phrases
 from cognitivedrone.types import COLORS, SHAPES, SIZES, SubGoal
 
 LONGEST_SENTENCE: Final = 2000
@@ -56,6 +66,8 @@ _NAMED = re.compile(
 )
 _PLACES = re.compile(
     r"\b(?:heli)?pads?\b|\b(?:sonst|sinon|ansonsten|andernfalls)\b|"
+    r"\b(?:(?:but|and|only|not) (?:only )?(?:if|when|unless)|unless|provided(?: that)?|as long as) "
+    r"(?:it|there|you see)\b|"
     r"\b(?:otherwise|else|if not)\b,?\s+(?:there\s+)?(?:to\s+)?(?:the|an?|fly|go)\b",
     re.I,
 )
@@ -90,6 +102,12 @@ _REFUSES = re.compile(
     re.I,
 )
 """Says what is not to be done, and nothing else."""
+_BEGINS = re.compile(
+    rf"\s*[.;!:]|\W*(?:and\s+)?(?:(?:but|just|only)\s+)?"
+    rf"(?:first|then|zuerst|erst|dann|d'abord|puis|ensuite|{GO})\b",
+    re.I,
+)
+"""After a prohibition: it has ended."""
 _ROUTE = re.compile(r"\W*(?:your|the)?\s*(?:first|route|tour|order|mission|start|begin)\b", re.I)
 _SOMEBODY = re.compile(r"(?:you|it|he|she|they|we|i|one|people|who|that|which)\b(?! (?:with|of|showing)\b)", re.I)
 
@@ -151,6 +169,7 @@ def read(sentence: str) -> Reading:
             sure
             or steps > 1
             or names.count("TIMES") > 1
+            or ({"NEVER", "CORRECTION"} <= set(names) and names.count("SEP") > 1)
             or (steps and ({"NOT", "NEVER", "CORRECTION"} & set(names) or _BANS.search(text)))
         ):
             return Reading(
@@ -160,8 +179,10 @@ def read(sentence: str) -> Reading:
     banned = ("NEVER", "LOOKS") in pairwise(names)
     if goals is None and (sure or banned or (steps and ("NEVER" in names or _BANS.search(text)))):
         return Reading(alone, _left_over(text, 0))
-    only = goals[0].avoid if goals is not None and len(goals) == 1 and not goals[0].otherwise else frozenset[str]()
-    described = only and not only & LOOKS
+    described = (
+        goals is not None and len(goals) == 1 and goals[0].kind == "fly"
+        and bool(things_of(goals[0].avoid)) and not any(map(looks_of, goals[0].avoid))
+    )  # fmt: skip
     through = any(token.type == "NEVER" and _THROUGH.search(token) for token in tokens)
     if goals is None or not is_mission(goals) or (described and not through):
         return Reading(alone, _left_over(text, 0) if sure else "")
@@ -173,66 +194,42 @@ def sub_goals(sentence: str) -> tuple[SubGoal, ...]:
     return read(sentence).goals
 
 
-def is_mission(goals: Sequence[SubGoal]) -> bool:
-    """Whether sub-goals are more than one plain sentence."""
-    return len(goals) > 1 or goals[0] != SubGoal("fly", goals[0].instruction)
-
-
 def problem_of(goals: Sequence[SubGoal]) -> str:
     """Why sub-goals cannot be flown, in words that follow "the mission"; empty if they can."""
-    if len(goals) > LONGEST:
-        return f"has {len(goals)} sub-goals; say at most {LONGEST} at a time"
-    if any(goal.kind == "land" for goal in goals[:-1]):
+    if (number := longest(goals)) > LONGEST:
+        return f"has {number} sub-goals; say at most {LONGEST} at a time"
+    branches = [goals, *(branch for part in parts_of(goals) for branch in (part.then, part.otherwise))]
+    if any(_ends(goal) for branch in branches for goal in branch[:-1]):
         return "goes on after the landing; let it end there"
+    if any(part.kind == "if" and not (part.then and part.otherwise) for part in parts_of(goals)):
+        return f"has a condition that does not say what is done in both cases; {SAY}"
     for number, goal in enumerate(goals, 1):
-        if goal.kind == "land" and not lands(goal.instruction)[0]:
-            return f"lands by {goal.instruction!r}; write it as {pad_directive('red')!r}"
-        if goal.kind == "land":
-            continue
+        for part in parts_of([goal]):
+            if part.kind == "land" and not lands(part.instruction)[0]:
+                return f"lands by {part.instruction!r}; write it as {pad_directive('red')!r}"
         for said in asked_of(goal):
             head = DESCRIBES.split(said, maxsplit=1)[0]  # what describes a thing may deny and oppose
             if strange := STRANGE.search(said) or _MOVES.search(said) or _OPPOSES.search(head) or _IDLE.search(said):
                 return f"has {strange[0]!r} in sub-goal {number}, {said!r}, which is not understood; {SAY}"
-            wanted = said in (goal.instruction, goal.otherwise)
-            if wanted and (look := next((each for each in sorted(goal.avoid) if _asks_for(said, each)), "")):
-                return f"asks for {_forbidden(look)} and forbids it; leave out one of the two"
+        for part in parts_of([goal]):
+            wanted = re.split(rf"\b{NEGATION}\b", part.instruction, maxsplit=1, flags=re.I)[0]
+            never = sorted(each for each in part.avoid if part.kind == "fly" and asks_for(wanted, each))
+            if never:
+                return f"asks for {_forbidden(never[0])} and forbids it; leave out one of the two"
         if any(goal.avoid.issuperset(every) for every in (COLORS, SHAPES, SIZES)):
             return "forbids every gate; leave one that it may fly through"
     return ""
 
 
-def asked_of(goal: SubGoal) -> tuple[str, ...]:
-    """The sentences that a reasoner is asked about in a sub-goal; none for a landing."""
-    otherwise = "" if lands(goal.otherwise)[0] else goal.otherwise
-    said = (goal.instruction, otherwise, goal.condition, *sorted(goal.avoid - LOOKS))
-    return tuple(filter(None, said)) if goal.kind == "fly" else ()
-
-
-def told(goal: SubGoal) -> str:
-    """A sub-goal as it was understood, for people."""
-    order = [*COLORS, *SHAPES, *SIZES]
-    avoid = sorted(goal.avoid, key=lambda each: (order.index(each), "") if each in order else (len(order), each))
-    never = f", never through {' or '.join(each.removeprefix('Fly to ') for each in avoid)}" if avoid else ""
-    if not goal.otherwise:
-        return goal.instruction + never
-    if not goal.condition:
-        return f"{goal.instruction}, or else: {goal.otherwise}{never}"
-    test = f"{goal.condition} is {'not ' if goal.absent else ''}possible"
-    return f"if {test}: {goal.instruction}, otherwise: {goal.otherwise}{never}"
+def _ends(goal: SubGoal) -> bool:
+    """Whether the flight is over with a sub-goal in any case."""
+    if goal.kind == "if":
+        return all(bool(branch) and _ends(branch[-1]) for branch in (goal.then, goal.otherwise))
+    return goal.kind == "land"
 
 
 def _forbidden(avoided: str) -> str:
-    return f"the {avoided} gate" if avoided in LOOKS else repr(avoided.removeprefix("Fly to "))
-
-
-def _asks_for(said: str, avoided: str) -> bool:
-    """Whether a goal is a gate of a look, not a thing of it, or the thing that is never flown through."""
-    if avoided not in LOOKS:
-        return re.search(rf"\b{re.escape(avoided.removeprefix('Fly to '))}\b", said, re.I) is not None
-    words = "|".join(word for word, of in LOOK_WORDS.items() if of == avoided)
-    gate = rf"\b(?:{words})\b(?=[\w\s]*\b(?:gate|one|triangle|square|circle|ring|hoop|frame)\b|(?:\s+(?:{LOOK}))*\W*$)"
-    wanted = re.split(rf"\b{NEGATION}\b", said, maxsplit=1, flags=re.I)[0]
-    return re.search(gate, wanted, re.I) is not None
+    return f"the {avoided} gate" if looks_of(avoided) else repr(avoided.removeprefix("Fly to "))
 
 
 def forbidden(mission: str) -> frozenset[str]:
@@ -256,7 +253,7 @@ def _goals(tree: Tree[Any], text: str) -> tuple[SubGoal, ...] | None:
     first = next((child for child in tree.children if isinstance(child, Tree)), None)
     if first is not None and first.data == "forbidden":
         rest = text[first.meta.end_pos :]
-        if not re.match(rf"\s*[.;!:]|\W*(?:and\s+)?(?:(?:but|just|only)\s+)?(?:first|then|{GO})\b", rest, re.I):
+        if not _BEGINS.match(rest):
             if not re.search(rf"\b(?:{LOOK})\b", said_in(first, text), re.I) and not next(
                 tree.find_data("landing"), None
             ):
@@ -271,7 +268,7 @@ def _goals(tree: Tree[Any], text: str) -> tuple[SubGoal, ...] | None:
                 )
             continue
         if item.data == "landing":
-            goals.append(SubGoal("land", pad_directive(pad_of(item, text))))
+            goals.append(SubGoal("land", pad_directive(pad_of(said_in(item.children[-1], text)))))
             continue
         step = item
         while step.data in ("listed", "step"):
@@ -284,7 +281,12 @@ def _goals(tree: Tree[Any], text: str) -> tuple[SubGoal, ...] | None:
         goals[:] = [SubGoal("fly", sentence_of(part)) for part in _listed(said_in(in_order, text))]
     if _is_no_mission(tree, text, goals, listed=listed):
         return None
-    return tuple(replace(goal, avoid=frozenset(avoid)) if goal.kind == "fly" else goal for goal in goals)
+    return tuple(forbidding(goal, frozenset(avoid)) for goal in goals)
+
+
+def forbidding(goal: SubGoal, avoid: frozenset[str]) -> SubGoal:
+    """A sub-goal that forbids this, too, in all that it flies through."""
+    return changed(goal, lambda part: part if part.kind == "land" else replace(part, avoid=part.avoid | avoid))
 
 
 def _items(tree: Tree[Any]) -> Iterator[Tree[Any]]:
