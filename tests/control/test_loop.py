@@ -305,8 +305,8 @@ def test_the_drone_hovers_while_the_directive_declines_and_the_policy_is_not_ask
 def test_the_loop_lands_by_the_instruction_and_never_by_a_directive_alone():
     ground, policy = Ground(), Counting()
     fly(ground, policy, ground, for_steps(ground, 10), reasoner=SimulatedReasoner(Saying("Land on the red pad")))
-    assert policy.texts[-1] == "Land on the red pad"
-    assert policy.calls == 10
+    assert not policy.texts
+    assert all((command == 0).all() for _, command in ground.sent)
     ground, policy = Ground(), Counting()
     fly(ground, policy, ground, for_steps(ground, 10, "Land on the red pad"), reasoner=SimulatedReasoner(Saying(RED)))
     assert policy.calls == 0

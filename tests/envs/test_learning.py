@@ -18,7 +18,7 @@ LEARNING: dict[str, Any] = {"observe": "state", "reward": "progress"}
 WRONG: list[dict[str, Any]] = [{"reward": "progres"}, {"observe": "pixels"}]
 
 
-def towards(states):
+def towards(states: Any) -> Any:
     """Commands (n, 4) that lead to the gate in each state, and turn to it."""
     gate = states[:, :3]
     way = gate / np.maximum(np.linalg.norm(gate, axis=1, keepdims=True), 0.1)

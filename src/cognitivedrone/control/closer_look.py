@@ -132,9 +132,9 @@ class CloserLook:
         Faults that say nothing about the scene are not counted.
         """
         guidance, self.ended = answer.guidance, False
-        self.reason = answer.message or self.reason
         if self.given_up:
             return False
+        self.reason = answer.message or self.reason
         if guidance is not None:
             value = guidance.confidence * (1.0 if guidance.present is None else guidance.present)
         elif answer.certainty is not None or answer.fault == "unsure":

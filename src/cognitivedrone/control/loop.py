@@ -109,7 +109,7 @@ def fly(
     next_question = 0
     while (segment := mission()) is not None:
         late = clock.now() - (start + slot / CONTROL_HZ)
-        if late > tolerance_s:
+        if slot and late > tolerance_s:
             log.note(Event(clock.now() - start, "late", age_s=late))
         if segment.index != segment_index:
             number = 0 if segment_index is None else segment.index

@@ -73,7 +73,7 @@ class TaskView:
             self._chase.close()
 
 
-class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
+class CognitiveDroneEnv(gymnasium.Env[Any, Action]):
     """One episode is one track of the suite; a single task is a track of one stage.
 
     `suite` is a name or a `Suite`; every episode of "open-v1:train" is a new task, without end. The other options are
@@ -109,7 +109,7 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         scenario = scenario_of(type(self).__init__, suite, options)
         self._states, self._shaped = learns_by(observe, reward)
         self.suite = tasks_of(suite, scenario)
-        self.observation_space = state_space() if self._states else observation_space(down_camera=down_camera)  # type: ignore[assignment]
+        self.observation_space = state_space() if self._states else observation_space(down_camera=down_camera)
         self.action_space = action_space()  # type: ignore[assignment]
         self.view = TaskView(render_mode, camera, find_airframe(scenario.airframe))
         self.render_mode = render_mode
@@ -118,7 +118,7 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         (self.track_runner,) = self._worlds.runners
         self._progress = Progress(self.track_runner)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict[str, Any], Info]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, Info]:
         """Begin an episode, drawn from the seed or given as `options["episode"]`, with `options["seed"]` as well.
 
         Raises `TaskError` for other options and for values that cannot be.
@@ -132,7 +132,7 @@ class CognitiveDroneEnv(gymnasium.Env[dict[str, Any], Action]):
         self.view.cut()
         return self._observe(), self._info(episode_index=episode)
 
-    def step(self, action: Action) -> tuple[dict[str, Any], float, bool, bool, Info]:
+    def step(self, action: Action) -> tuple[Any, float, bool, bool, Info]:
         """Fly one control period, 0.1 s."""
         check_begun(self.track_runner, "step")
         check_actions(action, (4,))

@@ -36,7 +36,7 @@ from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, FloatArray, GroundTruth
 _AUTORESET_MODES = (AutoresetMode.NEXT_STEP.value, AutoresetMode.DISABLED.value)
 
 
-class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray]):
+class CognitiveDroneVectorEnv(VectorEnv[Any, FloatArray, FloatArray]):
     """`num_envs` worlds of `CognitiveDroneEnv`, with the same spaces, rewards and endings.
 
     Takes the arguments of `CognitiveDroneEnv`, and `threads` (default: the number of cores). `max_episode_steps`
@@ -104,7 +104,7 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Any], Info]:
+    ) -> tuple[Any, Info]:
         """Begin an episode in every world, or in those of `options["reset_mask"]`, (num_envs,) bool; the others fly on.
 
         World i is seeded by `seed + i`, or by item i of a list of seeds. The other options are those of
@@ -120,9 +120,7 @@ class CognitiveDroneVectorEnv(VectorEnv[dict[str, Any], FloatArray, FloatArray])
             self._begin(world, wanted)
         return self._observe(), self._info([None] * self.num_envs)
 
-    def step(
-        self, actions: FloatArray
-    ) -> tuple[dict[str, Any], FloatArray, np.ndarray[Any, Any], np.ndarray[Any, Any], Info]:
+    def step(self, actions: FloatArray) -> tuple[Any, FloatArray, np.ndarray[Any, Any], np.ndarray[Any, Any], Info]:
         """Fly all worlds for one control period, 0.1 s."""
         self._check_begun("step")
         check_actions(actions, (self.num_envs, 4))
