@@ -42,18 +42,19 @@ LONGEST_DIRECTIVE = 1000
 """Maximum length in characters."""
 ANSWER_S: Final = 1 / REASONER_HZ + 0.5 / CONTROL_HZ
 """An answer that is older is late: the control step has passed in which the next question was due, s."""
-FITS: Final = 0.1
+FITS: Final = 0.05
 """Where the likeliest gate is forbidden, another is flown through that fits with more than this probability. R1 gave
-more to all 16 gates that fitted, and to 5.8 % of 588 that did not."""
+more to all 16 gates that fitted, and to 10.4 % of 588 that did not; with 0.1 these are 5.8 %, but an allowed animal in
+tests/apps/test_mission_flights.py is hovered at."""
 STAYS: Final = 3
 """Where gates are forbidden, one that was named in so many answers in a row stays the answer. A drone that turns late
 ended in the forbidden one between them (2 of 42 stages of `open-v3:missions`)."""
 MAY_SHOW: Final = 0.25
 """A gate that shows a forbidden thing with more than this probability is not flown through, where the reasoner is
 unsure of the sentence. R1 was at 2 stages: the right gates had more, and so had 2 of 4 others."""
-MAY_READ: Final = 0.01
-"""A panel that is read as a thing with more than this probability may show it. R1 read 4.2 % of 1,012 things that were
-there with less, and 0.8 % of 6,300 names of things that were not with more.
+MAY_READ: Final = 0.02
+"""A panel that is read as a thing with more than this probability may show it. R1 read 5.1 % of 1,012 things that were
+there with less, and 0.6 % of 6,300 names of things that were not with more; with 0.01 it is 4.2 and 0.8 %.
 
 All three: first frames of all stages of `open-v3:missions` and `open-v1:test`, `benchmarks/prohibitions.py`."""
 UNAIDED: Final = 40
@@ -259,7 +260,7 @@ def _within(goal: SubGoal, image: Image, reasoner: Reasoner, chosen: str | None)
         first = (first.then if there else first.otherwise)[0]
         if first.kind == "land":
             return Guidance(first.instruction, None, found.confidence, seen=tuple(seen))
-    things, kept = things_of(first.avoid), bool(first.avoid | goal.rejected)
+    things, kept = things_of(first.avoid), bool(first.avoid)
     found = _answer_to(first.instruction, image, reasoner, kept=kept)
     never = first.avoid.difference(things).union(goal.rejected, *(_showing(thing, image, reasoner) for thing in things))
     if things:  # a reasoner remembers its last answer
@@ -298,7 +299,7 @@ def _allowed(found: Guidance, never: frozenset[str], reasoner: Reasoner, least: 
         return Guidance(HOLD, None, 1.0, present=0.0)
     panel = reasoner.seen[number]
     directive = f"Fly through the {panel.color} gate" if panel.gate is None else write_directive(panel.gate)
-    return Guidance(directive, number, best / max(sum(p for p, _ in fits), 1e-9))
+    return Guidance(directive, number, max(fits)[0] / max(sum(share for share, _ in fits), 1e-9))
 
 
 def _look_of(panel: SeenPanel) -> frozenset[str]:
