@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_type_hints
 
 from cognitivedrone.choices import AppearanceName as AppearanceName
-from cognitivedrone.errors import AppearanceError, LinkError, UnknownOption, did_you_mean
+from cognitivedrone.errors import AppearanceError, LinkError, UnknownOption, UsageError, did_you_mean
 from cognitivedrone.ranges import WIND, Range, Seed, check_arguments, fitted
 from cognitivedrone.system import refusal
 from cognitivedrone.text.printable import shown_address
@@ -208,6 +208,11 @@ class PilotSpec(Options):
     """Reasoner: a name, none to give the policy the raw instruction, or your own as module:attribute."""
     look: Literal["yes", "no"] = _option("yes", identity="look", written="where set")
     """Whether the drone looks closer where the reasoner is unsure, before it chooses."""
+
+    def check(self) -> None:
+        """Raise `UsageError` for another answer than yes or no."""
+        if self.look not in ("yes", "no"):
+            raise UsageError(f"--look is {self.look!r}; it must be yes or no")
 
     @property
     def shown(self) -> PilotSpec:

@@ -28,7 +28,6 @@ def asked(sentence: str) -> set[str]:
         ("My daughter's birthday is tomorrow, she adores penguins, so please fly to the penguin", "animal/penguin"),
         ("hav u seen teh elefnt? go their", "animal/elephant"),
         ("flytothebanana", "food/banana"),
-        ("fly to something you can eat", "food/bread"),  # no frog, which eats flies
         ("the monky eating the bananna", "animal/monkey"),
         ("the dog, no wait, the cat", "animal/cat"),
         ("Go to the apple... sorry, I mean the pear", "food/pear"),
@@ -71,6 +70,8 @@ def test_one_thing_is_meant(sentence, label):
 
 
 def test_any_of_several_may_be_meant():
+    assert "food/bread" in asked("fly to something you can eat")  # and no frog, which eats flies
+    assert not any(label.startswith("animal/") for label in asked("fly to something you can eat"))
     assert asked("the yellow fruit") == {"food/banana", "food/lemon"}
     assert asked("a vegetable that isn't green").isdisjoint(asked("the green vegetable"))
     assert asked("fly to the robin") == {"birds/robin", "birds/robin_2"}

@@ -9,12 +9,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import benchmark_fakes
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmark"))
 
+import benchmark_fakes
 import keep_results
 import render_tables
 import table_kinds
