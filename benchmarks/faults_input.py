@@ -30,9 +30,11 @@ from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_r
 from cognitivedrone.errors import CognitiveDroneError, PolicyError
 from cognitivedrone.labels import load_pack
 from cognitivedrone.models.eyes.picture_classifier import PictureClassifier
-from cognitivedrone.models.reasoner_file import GateSelectorModel, LanguageModel, PanelReaderModel
+from cognitivedrone.models.eyes.sight import EyesModel
+from cognitivedrone.models.mind import Mind
 from cognitivedrone.models.small_file import SmallModel, describe, read_description
 from cognitivedrone.models.words.concepts import ConceptsModel
+from cognitivedrone.models.words.selector_file import GateSelectorModel
 from cognitivedrone.models.words.text_encoder import TextEncoderModel
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite, load_suite, task_to_json
@@ -250,13 +252,13 @@ MUTATIONS: tuple[Mutation, ...] = (
 def weight_files(count: int, seed: int, folder: Path) -> dict[str, Counter[str]]:
     """How damaged weight files ended, by the kind of the damage."""
     loaders: dict[Path, Callable[[Path], object]] = {
-        WEIGHTS / "small.onnx": SmallModel.load,
-        WEIGHTS / "race.onnx": SmallModel.load,
-        WEIGHTS / "reasoner" / "panel_reader.onnx": PanelReaderModel.load,
-        WEIGHTS / "reasoner" / "gate_selector.onnx": GateSelectorModel.load,
+        WEIGHTS / "small" / "model.onnx": read_description,
+        WEIGHTS / "race" / "model.onnx": read_description,
+        WEIGHTS / "small" / "eyes.onnx": EyesModel.load,
+        WEIGHTS / "small" / "gate_selector.onnx": GateSelectorModel.load,
         WEIGHTS / "picture_classifier.onnx": PictureClassifier.load,
         WEIGHTS / "concepts.onnx": ConceptsModel.load,
-        WEIGHTS / "reasoner" / "language.onnx": LanguageModel.load,
+        WEIGHTS / "small" / "language.onnx": Mind.load,
         WEIGHTS / "text_encoder.onnx": TextEncoderModel.load,
         _written_anew(folder / "written.onnx"): SmallModel.load,
     }
@@ -290,8 +292,9 @@ def judge_weights(path: Path, load: Callable[[Path], object]) -> str:
 
 
 def _written_anew(path: Path) -> Path:
-    """The packaged policy as this version writes it, with a checksum of its own."""
-    path.write_bytes((WEIGHTS / "small.onnx").read_bytes())
+    """The packaged racing policy as this version writes it, with a checksum of its own."""
+    for name in ("model.onnx", "eyes.onnx"):
+        (path if name == "model.onnx" else path.with_name(name)).write_bytes((WEIGHTS / "race" / name).read_bytes())
     describe(path, read_description(path))
     return path
 
@@ -333,9 +336,9 @@ def _without_description(rng: Rng, content: bytes) -> bytes:
 def _description_of_another(rng: Rng, content: bytes) -> bytes:
     import onnx
 
-    model, other = onnx.load_from_string(content), onnx.load(str(WEIGHTS / "race.onnx"))
+    model, other = onnx.load_from_string(content), onnx.load(str(WEIGHTS / "race" / "model.onnx"))
     if {entry.key: entry.value for entry in model.metadata_props} == {e.key: e.value for e in other.metadata_props}:
-        other = onnx.load(str(WEIGHTS / "small.onnx"))
+        other = onnx.load(str(WEIGHTS / "small" / "model.onnx"))
     onnx.helper.set_model_props(model, {entry.key: entry.value for entry in other.metadata_props})
     coded: bytes = model.SerializeToString()
     return coded

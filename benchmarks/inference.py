@@ -44,10 +44,10 @@ def main() -> None:
     options = parser.parse_args()
     core = min(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {core})
-    file = Small.file_of(options.model)
+    files = Small.file_of(options.model)
     before = memory_mb()
     begin = time.perf_counter()
-    policy = Small(str(file))
+    policy = Small(files[0])
     loading = time.perf_counter() - begin
     policy.reset(EpisodeContext(TEXT))
     seen = observations(8)
@@ -58,14 +58,14 @@ def main() -> None:
         times.append(time.perf_counter() - begin)
     median, slow = np.percentile(times[WARM_UP:], [50, 99]) * 1e3
     period = 1e3 / CONTROL_HZ
-    print(f"{policy.model.description.name} ({file}), {platform.machine()}, one core")
+    print(f"{policy.model.description.name} ({files[0]}), {platform.machine()}, one core")
     print(f"loading        {loading * 1e3:7.1f} ms")
     print(f"decision       {median:7.2f} ms median   {period / median:6.1f} x faster than the {period:.0f} ms it has")
     print(f"               {slow:7.2f} ms p99      {period / slow:6.1f} x")
     memory = memory_mb()
     print(f"memory         {memory:7.1f} MB, of which {before:.1f} MB before the model was loaded")
-    size_mb = file.stat().st_size / 1e6
-    print(f"file           {size_mb:7.2f} MB")
+    size_mb = sum(file.stat().st_size for file in files) / 1e6
+    print(f"files          {size_mb:7.2f} MB")
     times_ms = {"median_ms": float(median), "p99_ms": float(slow)}
     row = {**times_ms, "loading_s": loading, "memory_mb": memory, "file_mb": size_mb}
     keep(options.out, "Decisions of the small VLA on one core", [row], seed=0)

@@ -80,7 +80,7 @@ def _row(name: str, points: list[Point]) -> dict[str, Any]:
 def _points(name: str, count: int) -> Iterator[Point]:
     scenario = Scenario.of(suite=name, **CONDITIONS.get(name, {}))
     suite, reasoner = suite_of(scenario, count), SmallReasoner()
-    index = AttributeIndex(reasoner.reader.attributes.names)
+    index = AttributeIndex(reasoner.attributes.names)
     airframe = find_airframe(scenario.airframe)
     episodes = range(len(suite.tracks))[:count]
     with closing(reasoner), Worlds(1, load_pack(), TrackConfig.of(scenario), airframe=airframe) as worlds:

@@ -41,19 +41,7 @@ fi
 
 wanted() { [[ $only == all || $only == "$1" ]]; }
 
-bench() { # PILOT SUITE[+VARIANT] OPTIONS...
-  local pilot=$1 suite=$2
-  shift 2
-  cognitivedrone bench --suite "${suite%%+*}" --out "$out/scores/$pilot/${suite//:/-}" --resume --clips 0 \
-    "${episodes[@]}" "$@"
-}
-
-measure() { # NAME SCRIPT OPTIONS...
-  local name=$1 script=$2
-  shift 2
-  [[ -e $results/$name.json ]] && return
-  "$python" "$here/benchmarks/$script.py" "$@" --out "$results/$name.json"
-}
+source "$here/runs/common.sh"
 
 fly() { # FOLDER SUITE OPTIONS...
   [[ -e $out/$1/results.json ]] || cognitivedrone bench --suite "open-v3:$2" --out "$out/$1" --resume --clips 0 "${@:3}"

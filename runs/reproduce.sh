@@ -46,19 +46,7 @@ train() { # NAME RECIPE OPTIONS...
   touch "$out/$name/done"
 }
 
-bench() { # PILOT SUITE[+VARIANT] OPTIONS...
-  local pilot=$1 suite=$2
-  shift 2
-  cognitivedrone bench --suite "${suite%%+*}" --out "$out/scores/$pilot/${suite//:/-}" --resume --clips 0 \
-    "${episodes[@]}" "$@"
-}
-
-measure() { # NAME SCRIPT OPTIONS...
-  local name=$1 script=$2
-  shift 2
-  [[ -e $results/$name.json ]] && return
-  "$python" "$here/benchmarks/$script.py" "$@" --out "$results/$name.json"
-}
+source "$here/runs/common.sh"
 
 # The pilot: reading panels, the reasoner's choice, language, flying, flying anywhere, also in places; the baseline without
 # language; and the eye for obstacles.
@@ -73,7 +61,7 @@ train obstacles "$obstacles"
 for part in flight places; do
   cp -p "$out/obstacles/obstacles.onnx" "$out/$part"
   mkdir -p "$out/reasoner-$part"
-  cp -p "$out"/selector/*.onnx "$out/$part"/{panel_reader,language,text_encoder,concepts}.onnx "$out/reasoner-$part"
+  cp -p "$out"/selector/*.onnx "$out/$part"/{eyes,language,text_encoder,concepts}.onnx "$out/reasoner-$part"
 done
 
 # What a fixed set of the expert's flights is worth against flights made during training; the paper has 8,062.

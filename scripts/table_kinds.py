@@ -18,9 +18,9 @@ from cognitivedrone.benchmark.measurements import Measurement, markdown, read_me
 from cognitivedrone.benchmark.scores.results import FILES
 from cognitivedrone.benchmark.scores.scoring import Summary
 from cognitivedrone.benchmark.submission import Submission, SubmittedRun, read_submission
-from cognitivedrone.files import digest_of_file, digest_of_files
+from cognitivedrone.files import digest_of_files
 from cognitivedrone.plan import Scenario
-from cognitivedrone.policies import POLICIES, model_file
+from cognitivedrone.policies import POLICIES, policy_files
 from cognitivedrone.reasoners import SELF_CONTAINED, reasoner_files
 from cognitivedrone.tasks.suites import CONDITIONS
 
@@ -105,8 +105,8 @@ def is_former(run: SubmittedRun) -> bool:
 
 @cache
 def _policy_weights(policy: str) -> str:
-    file = model_file(policy) if policy in POLICIES else None
-    return digest_of_file(file) if file else ""
+    files = policy_files(policy) if policy in POLICIES else ()
+    return digest_of_files(*files) if files else ""
 
 
 @cache

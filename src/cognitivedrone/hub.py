@@ -24,16 +24,11 @@ from cognitivedrone.files import check_no_link, reason_of, remove, replace_file,
 from cognitivedrone.files.locks import LOCK_FILE, holds_files, sole_writer
 from cognitivedrone.models.eyes.obstacle_eye import EYE_FILE, ObstacleEye
 from cognitivedrone.models.eyes.picture_classifier import CLASSIFIER_FILE, PictureClassifier
-from cognitivedrone.models.reasoner_file import (
-    LANGUAGE_FILE,
-    READER_FILE,
-    SELECTOR_FILE,
-    GateSelectorModel,
-    LanguageModel,
-    PanelReaderModel,
-)
+from cognitivedrone.models.eyes.sight import EYES_FILE, EyesModel
+from cognitivedrone.models.mind import LANGUAGE_FILE, Mind
 from cognitivedrone.models.small_file import SmallModel
 from cognitivedrone.models.words.concepts import CONCEPTS_FILE, ConceptsModel
+from cognitivedrone.models.words.selector_file import SELECTOR_FILE, GateSelectorModel
 from cognitivedrone.models.words.text_encoder import FILE as ENCODER_FILE
 from cognitivedrone.models.words.text_encoder import TextEncoderModel
 from cognitivedrone.system import move_folder
@@ -71,10 +66,10 @@ def kind_of(folder: Path) -> tuple[RepoType, str]:
         for path in models:
             _LOADERS.get(path.name, SmallModel.load)(path)
         has = {path.name for path in models}
-        policy, reasoner = bool(has - set(_LOADERS)), has >= {READER_FILE, SELECTOR_FILE, LANGUAGE_FILE}
+        policy, reasoner = bool(has - set(_LOADERS)), has >= {EYES_FILE, SELECTOR_FILE, LANGUAGE_FILE}
         if not reasoner and (SELECTOR_FILE in has or not policy):
             raise HubError(
-                f"{folder}: a reasoner needs {READER_FILE}, {SELECTOR_FILE} and {LANGUAGE_FILE}; add what is missing"
+                f"{folder}: a reasoner needs {EYES_FILE}, {SELECTOR_FILE} and {LANGUAGE_FILE}; add what is missing"
             )
         return "model", {(True, True): "policy and reasoner", (False, True): "reasoner"}.get(
             (policy, reasoner), "policy"
@@ -87,7 +82,7 @@ def kind_of(folder: Path) -> tuple[RepoType, str]:
     if any(_described(path, {"fileFormat": str, "splits": list}) for path in _rlds(folder)):
         return "dataset", "RLDS data set"
     raise HubError(
-        f"{folder}: holds nothing to share; a model has model.onnx, or {READER_FILE}, {SELECTOR_FILE} and "
+        f"{folder}: holds nothing to share; a model has model.onnx, or {EYES_FILE}, {SELECTOR_FILE} and "
         f"{LANGUAGE_FILE}, a data set {MANIFEST}, meta/info.json (LeRobot) or dataset_info.json (RLDS)"
     )
 
@@ -144,9 +139,9 @@ def _described(path: Path, fields: Mapping[str, type]) -> bool:
 
 
 _LOADERS: Final[dict[str, Any]] = {
-    READER_FILE: PanelReaderModel.load,
+    EYES_FILE: EyesModel.load,
     SELECTOR_FILE: GateSelectorModel.load,
-    LANGUAGE_FILE: LanguageModel.load,
+    LANGUAGE_FILE: Mind.load,
     ENCODER_FILE: TextEncoderModel.load,
     CLASSIFIER_FILE: PictureClassifier.load,
     CONCEPTS_FILE: ConceptsModel.load,

@@ -15,6 +15,7 @@ from cognitivedrone.types import Guidance, Observation, SeenPanel
 
 STEP_S = 0.1
 RED, BLUE = "Fly through the red gate", "Fly through the blue gate"
+SILENT = "silent"
 
 
 class Plane:
@@ -73,10 +74,12 @@ class Judging(Reasoner):
         pass
 
     def refine(self, image, instruction):
-        self.seen = (SeenPanel("red", (128.0, 60.0, self.height_px), "", ()),)
+        self.seen = (SeenPanel("red", (128.0, 60.0, self.height_px), "", ()),) if self.height_px else ()
         directive, confidence = self.judge(self.drone)
         if not directive:
             raise ReasonerError("unsure", "no answer is likely", certainty=confidence)
+        if directive == SILENT:
+            raise ReasonerError("timeout", "no answer in 2 s")
         return Guidance(directive, 0, confidence, present=1 - confidence if directive == HOLD else None)
 
 
@@ -148,6 +151,24 @@ def test_it_goes_no_nearer_to_a_panel_that_is_large_and_around_what_is_in_the_wa
     drone, notes, _ = flown(lambda _: (RED, 0.5), policy=Steady(0.0, 0.0, 0.0, 0.0, wall=True))
     assert max(place[0] for place in drone.places) < 0.1
     assert "sure" in notes.events  # it does not wait for ever for a place that it cannot reach
+
+
+def test_blind_it_goes_nowhere_and_waits_for_one_more_answer():
+    """A reasoner that does not tell where the panels are cannot say how near they are."""
+    drone, notes, _ = flown(lambda _: (RED, 0.5), 6.0, height_px=0.0)
+    assert notes.events.count("hold") == notes.events.count("sure") == 1
+    assert notes.followed[-1] == RED
+    assert max(np.hypot(*place[:2]) for place in drone.places) < 0.1
+    _, notes, _ = flown(lambda _: ("", 0.1), 6.0, height_px=0.0)
+    assert "declined" in notes.events
+
+
+def test_a_look_without_an_answer_ends_with_the_first_place():
+    drone, notes, doubt = flown(lambda drone: (RED, 0.5) if drone.time < 1 else (SILENT, 0.0), 13.0)
+    assert (notes.events.count("hold"), notes.events.count("sure")) == (1, 1)
+    assert not doubt.active
+    assert not reached(drone, *LookRule().places[1])
+    assert notes.followed[-1] == RED
 
 
 def test_a_drone_that_only_turns_looks_for_its_gate():

@@ -19,7 +19,7 @@ from cognitivedrone.data.store import Store
 from cognitivedrone.errors import CognitiveDroneError
 from cognitivedrone.models.onnx_file import check_model_file
 from cognitivedrone.models.openvla.checkpoint import inspect, read_header
-from cognitivedrone.policies import model_file
+from cognitivedrone.policies import policy_files
 from cognitivedrone.policies.lerobot import read_config
 from cognitivedrone.reasoners import reasoner_files
 from cognitivedrone.reasoners.prompt import load_prompt
@@ -31,7 +31,7 @@ from cognitivedrone.tasks.knowledge.rows import read_rows
 READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "answers": ("answers.jsonl", read_answers),
     "digest of answers": ("answers.jsonl", lambda file: reasoner_files(f"replay:{file}")),
-    "digest of a model": ("model.onnx", lambda file: model_file(f"small:{file}")),
+    "digest of a model": ("model.onnx", lambda file: policy_files(f"small:{file}")),
     "latencies": ("times", lambda file: parse_delays(f"policy={file}")),
     "lerobot": ("config.json", lambda file: read_config(file.parent)),
     "lerobot weights": ("model.safetensors", read_header),

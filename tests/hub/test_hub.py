@@ -22,12 +22,12 @@ from cognitivedrone.data.formats import export
 from cognitivedrone.data.store import Store
 from cognitivedrone.data.verify import verify
 from cognitivedrone.errors import HubError
-from cognitivedrone.hub import _api, check_names, contents_of, kind_of
-from cognitivedrone.models.reasoner_file import LOOKS
+from cognitivedrone.hub import _LOADERS, _api, check_names, contents_of, kind_of
+from cognitivedrone.models.eyes.sight import LOOKS
 
 constants = pytest.importorskip("huggingface_hub.constants")
 pytestmark = pytest.mark.filterwarnings("ignore:Use 'content:DeprecationWarning")  # of the library's upload
-MODELS = {"panel_reader.onnx", "gate_selector.onnx", "language.onnx", "text_encoder.onnx"}
+MODELS = {"eyes.onnx", "gate_selector.onnx", "language.onnx", "text_encoder.onnx"}
 
 
 @pytest.fixture
@@ -102,7 +102,7 @@ def test_a_policy_is_shared_with_its_text_encoder_and_a_reasoner_with_all_of_its
     (reader / "gate_selector.onnx").unlink()  # as a policy's training writes it
     assert kind_of(reader) == ("model", "policy")
     (reader / "model.onnx").unlink()
-    with pytest.raises(HubError, match=r"needs panel_reader\.onnx, gate_selector\.onnx and language\.onnx"):
+    with pytest.raises(HubError, match=r"needs eyes\.onnx, gate_selector\.onnx and language\.onnx"):
         kind_of(reader)
 
 
@@ -142,7 +142,7 @@ def test_a_dry_run_lists_what_a_push_would_send_and_sends_nothing(hub, reader, c
         ({".cache/evil.json": b"{}"}, {}, "'.cache/evil.json' is not shared"),
         ({"bell\x07.json": b"{}"}, {}, "is not shared"),
         ({"config.json": b"{}"}, {}, "holds nothing to share"),
-        ({"panel_reader.onnx": b"no model"}, {}, "panel_reader.onnx"),
+        ({"eyes.onnx": b"no model"}, {}, "eyes.onnx"),
         ({"meta/info.json": b"[]"}, {}, "holds nothing to share"),
         ({"manifest.json": b"{}"}, {}, "is not the manifest of a data set of this package"),
         ({"meta/info.json": b'{"codebase_version": "3", "features": {}, "fps": 10}'}, {}, "holds a LeRobot data set"),
@@ -196,8 +196,8 @@ def test_a_commit_that_is_no_commit_is_not_used_as_a_path(hub, tmp_path, capsys,
 
 def test_a_download_that_is_larger_than_listed_ends_while_it_arrives(hub, tmp_path, capsys):
     hub.repos["model me/evil"] = repo = Repo(private=False)
-    repo.add({"panel_reader.onnx": b"small"})
-    hub.lies["panel_reader.onnx"] = bytes(60_000_000)
+    repo.add({"eyes.onnx": b"small"})
+    hub.lies["eyes.onnx"] = bytes(60_000_000)
     said = said_of(capsys, "hub", "pull", "me/evil", tmp_path / "new")
     assert "me/evil: " in said
     assert sum(path.stat().st_size for path in tmp_path.rglob("*") if path.is_file()) < 40_000_000
@@ -230,10 +230,10 @@ def test_names_of_files_that_are_shared():
 
 
 def test_the_packaged_models_are_of_known_kinds():
-    """Also each new part of a reasoner."""
     folder = Path(str(resources.files("cognitivedrone.models") / "weights"))
-    assert kind_of(folder) == ("model", "policy")
-    shared = contents_of(folder / "reasoner")
-    assert shared.kind == "reasoner"
-    assert set(shared.files) == {each.name for each in (folder / "reasoner").glob("*.onnx")}
-    assert set(shared.files) >= MODELS - {"text_encoder.onnx"}
+    shared = contents_of(folder / "small")
+    assert shared.kind == "policy and reasoner"
+    assert set(shared.files) == MODELS - {"text_encoder.onnx"} | {"model.onnx"}
+    assert kind_of(folder / "race") == ("model", "policy")
+    for path in folder.glob("*.onnx"):  # that all of them share
+        _LOADERS[path.name](path)

@@ -12,16 +12,18 @@ from pathlib import Path
 import numpy as np
 import onnx
 import pytest
-from tiny import DESCRIPTION, graph, tiny_model
+from tiny import DESCRIPTION, graph, tiny_eyes, tiny_model
 
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.models.checksum import BLANK, MARK, check, seal
 from cognitivedrone.models.eyes.obstacle_eye import ObstacleEye
 from cognitivedrone.models.eyes.picture_classifier import PictureClassifier
+from cognitivedrone.models.eyes.sight import EyesModel
+from cognitivedrone.models.mind import Mind
 from cognitivedrone.models.onnx_file import KEY
-from cognitivedrone.models.reasoner_file import GateSelectorModel, LanguageModel, PanelReaderModel
 from cognitivedrone.models.small_file import KIND, SmallModel, describe, read_description
 from cognitivedrone.models.words.concepts import ConceptsModel
+from cognitivedrone.models.words.selector_file import GateSelectorModel
 from cognitivedrone.models.words.text_encoder import TextEncoderModel
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
@@ -36,6 +38,7 @@ def old_model(path: Path) -> Path:
     model = graph()
     onnx.helper.set_model_props(model, {KEY: json.dumps({"format": 1, "kind": KIND, **DESCRIPTION.table()})})
     onnx.save(model, str(path))
+    tiny_eyes(path.parent)
     return path
 
 
@@ -48,14 +51,14 @@ def test_a_sample_of_damaged_files_is_found(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "load"),
     [
-        ("small.onnx", SmallModel.load),
-        ("race.onnx", SmallModel.load),
-        ("reasoner/panel_reader.onnx", PanelReaderModel.load),
+        ("small/model.onnx", read_description),
+        ("race/model.onnx", read_description),
+        ("small/eyes.onnx", EyesModel.load),
         ("picture_classifier.onnx", PictureClassifier.load),
         ("concepts.onnx", ConceptsModel.load),
         ("obstacles.onnx", ObstacleEye.load),
-        ("reasoner/gate_selector.onnx", GateSelectorModel.load),
-        ("reasoner/language.onnx", LanguageModel.load),
+        ("small/gate_selector.onnx", GateSelectorModel.load),
+        ("small/language.onnx", Mind.load),
         ("text_encoder.onnx", TextEncoderModel.load),
     ],
 )
@@ -110,11 +113,11 @@ def test_describing_an_older_file_gives_it_a_checksum(tmp_path: Path) -> None:
 def test_describing_a_shipped_file_again_makes_a_sound_one_with_the_same_weights(tmp_path: Path) -> None:
     path = faults_input._written_anew(tmp_path / "again.onnx")
     assert check(path.read_bytes()) == "sound"
-    shipped, again = SmallModel.load(WEIGHTS / "small.onnx"), SmallModel.load(path)
+    shipped, again = SmallModel.load(WEIGHTS / "race" / "model.onnx"), SmallModel.load(path)
     assert again.description == shipped.description
     frame = np.random.default_rng(0).integers(0, 256, (1, 256, 256, 3), dtype=np.uint8)
-    answers = [model.run(frame, np.zeros((1, 5), np.float32), ["Fly"]) for model in (shipped, again)]
-    assert np.array_equal(answers[0].action, answers[1].action)
+    first, second = (model.fly(model.eyes.see(frame), np.zeros((1, 5), np.float32)) for model in (shipped, again))
+    assert np.array_equal(first.options, second.options)
 
 
 def test_sealing_needs_one_empty_place(tmp_path: Path) -> None:

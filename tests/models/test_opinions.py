@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from cognitivedrone.models.attributes import AttributeSchema
-from cognitivedrone.models.eyes.opinions import NONE, Opinions, on_paper
+from cognitivedrone.models.eyes.opinions import Opinions, on_paper
 from cognitivedrone.models.eyes.picture_classifier import CLASSES, SIDE
-from cognitivedrone.types import COLORS
+from cognitivedrone.training.perception.attributes import ATTRIBUTES
 
 NAMES = ("kind/thing", "concept/letter:A", "concept/thing:tiger", "concept/thing:zebra", "concept/thing:yeti")
 SCHEMA = AttributeSchema(NAMES)
@@ -37,16 +37,24 @@ def boxes(*heights, u=(60, 128, 196)):
     return np.array([[place, 60, height] for place, height in zip(u, heights, strict=False)], np.float32)
 
 
+def share(opinions, name, color):
+    """Of a thing, on a panel of which nothing is known but that it shows one of the three, at a gate of this colour."""
+    row = np.zeros((1, len(NAMES)), np.float32)
+    row[0, [NAMES.index("kind/thing"), *SCHEMA.things]] = 1, 1 / 3, 1 / 3, 1 / 3
+    looks = np.eye(8, dtype=np.float32)[[color]]
+    return float(opinions.joined(row, looks)[0, NAMES.index(f"concept/thing:{name}")])
+
+
 def test_an_opinion_is_given_for_the_color_of_the_gate():
     opinions = Opinions(Sees(), SCHEMA)
-    assert (opinions.arrays()["paper"] == NONE).all()
+    assert opinions.asked == {}
     assert opinions.look(WHITE, boxes(30), [BLUE])
-    arrays = opinions.arrays()
-    assert arrays["opinions"].shape == (len(COLORS), 3)
-    assert arrays["paper"].tolist() == [NONE, NONE, 1.0]
-    assert np.exp(arrays["opinions"][BLUE]) == pytest.approx([0.005, 0.905, 0.005])
+    assert opinions.asked == {BLUE: 1.0}
+    assert share(opinions, "zebra", BLUE) == pytest.approx(0.905 / 0.915, abs=1e-3)
+    assert share(opinions, "yeti", BLUE) == pytest.approx(0.005 / 0.915, abs=1e-3)
+    assert share(opinions, "zebra", RED) == pytest.approx(1 / 3)
     assert opinions.look(NOISE, boxes(30), [RED])
-    assert opinions.arrays()["paper"].tolist() == [0.0, NONE, 1.0]
+    assert opinions.asked == {BLUE: 1.0, RED: 0.0}
 
 
 def test_classes_are_remembered_by_color_too_and_all_alike_where_nothing_was_seen():
@@ -66,8 +74,9 @@ def test_a_panel_is_looked_at_again_once_it_has_grown_and_answers_are_averaged()
     assert not opinions.look(WHITE, boxes(33), [GREEN])
     assert opinions.look(WHITE, boxes(36), [GREEN])
     assert sees.asked == [1, 1]
-    expected = np.log([0.205, 0.205, 0.005]) + np.log([0.005, 0.905, 0.005])
-    assert opinions.arrays()["opinions"][GREEN] == pytest.approx(expected / 2, rel=1e-5)
+    expected = np.sqrt(np.array([0.205, 0.205, 0.005]) * [0.005, 0.905, 0.005])
+    found = [share(opinions, name, GREEN) for name in ("tiger", "zebra", "yeti")]
+    assert found == pytest.approx(expected / expected.sum(), rel=1e-3)
 
 
 def test_the_most_grown_come_first_and_no_more_than_allowed():
@@ -75,7 +84,7 @@ def test_the_most_grown_come_first_and_no_more_than_allowed():
     opinions = Opinions(sees, SCHEMA)
     for asked in (BLUE, GREEN, RED):
         assert opinions.look(WHITE, boxes(20, 25, 30), [RED, GREEN, BLUE], most=1)
-        assert opinions.arrays()["paper"][asked] == 1.0
+        assert list(opinions.asked)[-1] == asked
     assert not opinions.look(WHITE, boxes(20, 25, 30), [RED, GREEN, BLUE], most=1)
     assert sees.asked == [1, 1, 1]
     assert Opinions(sees, SCHEMA).look(WHITE, boxes(20, 25, 30), [RED, GREEN, BLUE])
@@ -86,17 +95,17 @@ def test_panels_that_are_cut_or_too_small_are_not_looked_at():
     sees = Sees()
     opinions = Opinions(sees, SCHEMA)
     assert not opinions.look(NOISE, boxes(10, 40, u=(128, 5)), [RED, GREEN])
-    assert (opinions.arrays()["paper"] == NONE).all()
+    assert opinions.asked == {}
     assert sees.asked == []
 
 
 def test_a_new_flight_knows_none():
     opinions = Opinions(Sees((0.0, 0.9)), SCHEMA)
     opinions.look(WHITE, boxes(30), [RED])
-    assert opinions.arrays()["opinions"][RED].argmax() == 1
-    assert (opinions.fork().arrays()["paper"] == NONE).all()
+    assert share(opinions, "zebra", RED) > 0.9
+    assert opinions.fork().asked == {}
     opinions.reset()
-    assert (opinions.arrays()["paper"] == NONE).all()
+    assert opinions.asked == {}
 
 
 def test_crops_are_drawings_on_paper_or_photographs():
@@ -104,3 +113,70 @@ def test_crops_are_drawings_on_paper_or_photographs():
     crop[40:100, 40:100] = (200, 40, 40)
     assert on_paper(crop) == 1.0
     assert on_paper(NOISE[:SIDE, :SIDE]) == 0.0
+
+
+# ---- joined with what is read
+
+ALL = AttributeSchema(ATTRIBUTES)
+ZEBRA, TIGER, OCTOPUS = (ATTRIBUTES.index(f"concept/thing:{name}") for name in ("zebra", "tiger", "octopus"))
+THING, PERSON = ATTRIBUTES.index("kind/thing"), ATTRIBUTES.index("kind/person")
+DRAWING, PHOTOGRAPH = True, False
+
+
+def reading(**shares):
+    row = np.zeros(len(ATTRIBUTES), np.float32)
+    for name, share in shares.items():
+        row[ATTRIBUTES.index(f"concept/thing:{name}")] = share
+    row[THING] = row.sum()
+    return row
+
+
+class SeesZebra:
+    """A classifier for which every panel shows a zebra."""
+
+    names = ("concept/thing:zebra",)
+
+    def shares(self, crops):
+        return np.full((len(crops), 1), 0.95, np.float32), np.full((len(crops), CLASSES), 1e-3, np.float32)
+
+
+def joined(row, paper, color=BLUE):
+    """The reading of a panel, where the one at the blue gate is a zebra in the classifier's opinion."""
+    opinions = Opinions(SeesZebra(), ALL)
+    if paper is not None:
+        opinions.look(WHITE if paper else NOISE, boxes(30), [BLUE])
+    return opinions.joined(row[None], np.eye(8, dtype=np.float32)[[color]])[0]
+
+
+def test_both_opinions_count_for_a_drawing_and_the_classifiers_more_for_a_photograph():
+    doubtful = reading(tiger=0.5, octopus=0.3, zebra=0.1)
+    drawing, photograph = joined(doubtful, DRAWING), joined(doubtful, PHOTOGRAPH)
+    assert drawing.argmax() in (ZEBRA, THING)
+    assert photograph[ZEBRA] > drawing[ZEBRA] > doubtful[ZEBRA]
+    sure = reading(tiger=0.99, zebra=1e-5)
+    assert joined(sure, DRAWING)[TIGER] > 0.9
+    assert joined(sure, PHOTOGRAPH)[ZEBRA] > 20 * joined(sure, DRAWING)[ZEBRA]
+
+
+@pytest.mark.parametrize("paper", [DRAWING, PHOTOGRAPH])
+def test_shares_stay_shares(paper):
+    row = reading(tiger=0.3, octopus=0.2)
+    row[PERSON] = 0.3
+    found = joined(row, paper)
+    assert (found >= 0).all()
+    assert found[ALL.groups["concept"]].sum() <= 1.001
+    assert found[ALL.groups["kind"]].sum() <= 1.001
+
+
+def test_who_is_surely_a_person_stays_one():
+    row = np.zeros(len(ATTRIBUTES), np.float32)
+    row[PERSON] = 1.0
+    found = joined(row, PHOTOGRAPH)
+    assert found[PERSON] == pytest.approx(1.0, abs=0.01)
+    assert found[ZEBRA] < 0.01
+
+
+def test_a_panel_without_opinion_stays_as_it_was_read():
+    row = reading(tiger=0.5, zebra=0.1)
+    assert (joined(row, None) == row).all()
+    assert (joined(row, PHOTOGRAPH, color=RED) == row).all()

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from cognitivedrone.models.attributes import UNKNOWN, AttributeSchema
-from cognitivedrone.models.eyes.finder import LOOK_GROUPS, Finder
-from cognitivedrone.models.eyes.opinions import NONE
-from cognitivedrone.models.eyes.panel_reader import PanelReader, Probabilities, Reader, ReaderConfig
+from cognitivedrone.models.eyes.finder import LOOK_GROUPS
+from cognitivedrone.models.eyes.panel_reader import Probabilities, Reader, ReaderConfig
+from cognitivedrone.models.small_vla import Eyes, SmallVLA, SmallVLAConfig
 from cognitivedrone.training.perception.attributes import ATTRIBUTES
 
 SCHEMA = AttributeSchema(ATTRIBUTES)
@@ -79,17 +79,18 @@ def test_embeddings_have_a_fixed_length_and_temperature_divides_logits() -> None
 def test_a_frame_is_read_panel_by_panel() -> None:
     torch.manual_seed(0)
     schema = AttributeSchema(ATTRIBUTES)
-    made = PanelReader(Finder((8, 8, 16), 1), Reader(CONFIG, len(ATTRIBUTES)), schema).eval()
-    nothing = torch.zeros(2, 3, len(schema.things)), torch.full((2, 3), NONE)
+    made = Eyes(SmallVLA(SmallVLAConfig(backbone=(8, 8, 16), blocks=1, reader=CONFIG), schema)).eval()
     frames = torch.randint(0, 256, (2, 256, 256, 3), dtype=torch.uint8)
     with torch.no_grad():
-        read, looks, boxes = made(frames, *nothing)
-        alone = made(frames[1:], *(each[1:] for each in nothing))
-    assert (read.shape, looks.shape, boxes.shape) == ((2, 4, len(ATTRIBUTES)), (2, 3, 8), (2, 4, 4))
+        gates, slots, whole, read, boxes = made(frames)
+        alone = made(frames[1:])
+    looks = slots[..., -8:]
+    assert (gates.shape, slots.shape, whole.shape) == ((2, 3, 4), (2, 3, 16 + 16), (2, 16))
+    assert (read.shape, boxes.shape) == ((2, 4, len(ATTRIBUTES)), (2, 4, 4))
     for span in LOOK_GROUPS:
         torch.testing.assert_close(looks[..., span].sum(-1), torch.ones(2, 3))
     assert ((boxes[..., 3] >= 0) & (boxes[..., 3] <= 1)).all()
-    for one, many in zip(alone, (read, looks, boxes), strict=True):
+    for one, many in zip(alone, (gates, slots, whole, read, boxes), strict=True):
         torch.testing.assert_close(one[0], many[1], rtol=1e-4, atol=1e-4)
 
 

@@ -13,13 +13,14 @@ from onnx import TensorProto
 from tiny import (
     DESCRIPTION,
     INPUTS,
-    OPEN,
     OPEN_DESCRIPTION,
     OUTPUTS,
     graph,
     heard,
     open_model_file,
     tiny_encoder,
+    tiny_eyes,
+    tiny_language,
     tiny_model,
 )
 
@@ -61,7 +62,7 @@ def refused(path) -> str:
         SmallModel.load(path)
     message = str(error.value)
     assert "\n" not in message
-    assert str(path) in message
+    assert str(path.parent) in message
     return message
 
 
@@ -88,37 +89,62 @@ def test_describing_without_onnx_says_what_to_install(tiny_model_file, monkeypat
         describe(tiny_model_file, DESCRIPTION)
 
 
-def test_it_runs_frames_with_a_sentence_each(tiny_model_file):
+def test_it_sees_and_flies_several_frames(tiny_model_file):
     model = SmallModel.load(tiny_model_file)
-    output = model.run(images(0, 51, 255), states(3), ["fly", "through the red gate", "zebra"])
-    assert output.action.shape == (3, 2, 4)
-    assert output.choice.shape == (3, 4)
-    assert output.gates.shape == (3, 3, 4)
-    assert np.allclose(output.action[:, 0, 0], [0, 0.2, 1])
-    assert np.allclose(output.action[:, 1, 1], 0.9)
-    assert np.allclose(output.action[:, 0, 3], -0.5)
-    assert output.present is None
+    sight = model.eyes.see(images(0, 51, 255))
+    flown = model.fly(sight, states(3))
+    assert sight.gates.shape == (3, 3, 4)
+    assert sight.readings is None
+    assert flown.options.shape == (3, 4, 2, 4)
+    assert np.allclose(flown.options[:, 0, 0, 0], [0, 0.2, 1])
+    assert np.allclose(flown.options[:, 3, 1, 1], 0.9)
+    assert np.allclose(flown.options[:, 0, 0, 3], -0.5)
+    assert flown.inclination.shape == (3, 4)
+    assert model.mind is None
+
+
+def test_the_same_frame_is_looked_at_once_whoever_asks(tiny_model_file):
+    first, second = (SmallModel.load(tiny_model_file).eyes for _ in range(2))
+    assert first is second
+    frame = images(77)
+    seen = first.see(frame)
+    assert second.see(frame.copy()) is seen
+    frame[:] = 78
+    assert first.see(frame) is not seen
+    assert first.see(images(77)) is seen
 
 
 def test_the_same_input_gives_the_same_bits_alone_and_in_another_session(tiny_model_file):
     first, second = (SmallModel.load(tiny_model_file, threads=threads) for threads in (1, 2))
-    one, other = (model.run(images(77), states(1), ["fly"]) for model in (first, second))
-    assert np.array_equal(one.action, other.action)
+    one, other = (model.fly(model.eyes.see(images(77)), states(1)) for model in (first, second))
+    assert first.eyes is not second.eyes
+    assert np.array_equal(one.options, other.options)
 
 
 @pytest.mark.parametrize(
     ("frames", "motion", "says"),
     [
-        (np.zeros((1, 128, 128, 3), np.uint8), states(1), r"images must be uint8 \(1, 256, 256, 3\)"),
+        (np.zeros((1, 128, 128, 3), np.uint8), states(1), r"images of uint8 \(n, 256, 256, 3\)"),
         (np.zeros((1, 256, 256, 3), np.float32), states(1), "not float32"),
-        (images(0, 0), states(2), r"not uint8 \(2, 256"),
+        (images(0), states(2), r"states must be float32 \(1, 5\)"),
         (images(0), np.zeros((1, 4), np.float32), r"states must be float32 \(1, 5\)"),
         (images(0), np.zeros((1, 5)), "not float64"),
     ],
 )
 def test_inputs_of_other_shapes_are_refused(tiny_model_file, frames, motion, says):
+    model = SmallModel.load(tiny_model_file)
     with pytest.raises(PolicyError, match=says):
-        SmallModel.load(tiny_model_file).run(frames, motion, ["fly"])
+        model.fly(model.eyes.see(frames), motion)
+
+
+@pytest.mark.parametrize("name", ["eyes.onnx", "language.onnx"])
+def test_a_part_that_is_missing_or_of_another_model_is_said(tmp_path, name):
+    path = open_model_file(tmp_path / "model.onnx")
+    write = {"eyes.onnx": tiny_eyes, "language.onnx": tiny_language}[name]
+    write(tmp_path, ("kind/thing", "kind/unknown", "concept/thing:dog"))
+    assert "do not belong together" in refused(path)
+    (tmp_path / name).unlink()
+    assert f"{name} is missing beside" in refused(path)
 
 
 def test_a_file_that_is_not_there(tmp_path):
@@ -174,8 +200,8 @@ def test_a_file_that_does_not_describe_itself(tmp_path):
         (changed(kind=[]), "kind [], not"),
         (changed(facets=["a", 7]), "'facets' of the description"),
         (changed(kind="small-vla"), "reads sentences by a list of words; use the release that it came with"),
+        (changed(kind="small-policy"), "sees and flies by one file; use the release that it came with"),
         (changed(encoder=None), "'encoder'"),
-        (changed(encoder="d" * 64), "lacks 'language'"),
         (changed(chunk=0), "'chunk'"),
         (changed(chunk=True), "'chunk'"),
         (changed(image_size=128), "128 pixels"),
@@ -191,25 +217,23 @@ def test_a_file_that_does_not_describe_itself(tmp_path):
 def test_a_description_that_cannot_be_trusted(tmp_path, metadata, says):
     path = with_metadata(tmp_path / "model.onnx", metadata)
     assert says in refused(path)
-    if "language" not in says:
-        with pytest.raises(PolicyError):
-            read_description(path)
+    with pytest.raises(PolicyError):
+        read_description(path)
 
 
 @pytest.mark.parametrize(
     ("interface", "says"),
     [
-        ({"inputs": {**INPUTS, "image": (TensorProto.FLOAT, ["batch", 256, 256, 3])}}, "input 'image'"),
-        ({"inputs": {**INPUTS, "image": (TensorProto.UINT8, ["batch", 128, 128, 3])}}, "128"),
-        ({"inputs": OPEN["inputs"]}, "inputs image, state, words; expected image, state"),
+        ({"inputs": {**INPUTS, "slots": (TensorProto.DOUBLE, ["batch", 3, 17])}}, "input 'slots'"),
+        ({"inputs": {**INPUTS, "slots": (TensorProto.FLOAT, ["batch", 3, 9])}}, "input 'slots'"),
         ({"inputs": {**INPUTS, "state": (TensorProto.FLOAT, [1, 5])}}, "input 'state'"),
         (
-            {"inputs": {"frame": INPUTS["image"], "state": INPUTS["state"]}},
-            "inputs frame, state; expected image, state",
+            {"inputs": {"slots": INPUTS["slots"], "all": INPUTS["whole"], "state": INPUTS["state"]}},
+            "inputs slots, all, state; expected slots, whole, state",
         ),
         (
-            {"outputs": {"action": OUTPUTS["action"], "choice": OUTPUTS["choice"], "boxes": OUTPUTS["gates"]}},
-            "outputs action, choice, boxes",
+            {"outputs": {"actions": OUTPUTS["options"], "inclination": OUTPUTS["inclination"]}},
+            "outputs actions, inclination",
         ),
     ],
 )
@@ -218,37 +242,24 @@ def test_a_graph_of_another_interface(tmp_path, interface, says):
 
 
 def test_a_chunk_other_than_described(tmp_path):
+    tiny_eyes(tmp_path)
     path = with_metadata(tmp_path / "model.onnx", changed(chunk=3))
-    assert "output 'action'" in refused(path)
+    assert "output 'options'" in refused(path)
 
 
 # ---- files of models that read sentences
 
 
-def test_a_model_that_reads_sentences_tells_what_is_there(tmp_path):
+def test_a_model_that_reads_sentences_weighs_the_gates(tmp_path):
     model = SmallModel.load(open_model_file(tmp_path / "open.onnx"))
-    assert model.description == OPEN_DESCRIPTION
-    assert read_description(tmp_path / "open.onnx") == OPEN_DESCRIPTION
-    texts = ["fly", "through the red gate"]
-    output = model.run(images(0, 51), states(2), texts)
-    assert np.allclose(output.present, [1, 0.8])
-    assert np.allclose(output.action[:, 0, 2], [heard(text) for text in texts])
-
-
-@pytest.mark.parametrize(
-    ("interface", "says"),
-    [
-        ({"inputs": INPUTS, "outputs": OPEN["outputs"]}, "inputs image, state; expected image, state, words"),
-        ({"inputs": OPEN["inputs"], "outputs": OUTPUTS}, "outputs action, choice, gates; expected"),
-        (
-            {**OPEN, "inputs": {**INPUTS, "words": (TensorProto.FLOAT, ["batch", "length", 9])}},
-            "input 'words'",
-        ),
-    ],
-)
-def test_a_model_that_reads_sentences_needs_a_graph_that_does(tmp_path, interface, says):
-    tiny_encoder(tmp_path)
-    assert says in refused(tiny_model(tmp_path / "model.onnx", OPEN_DESCRIPTION, **interface))
+    assert model.description == read_description(tmp_path / "open.onnx") == OPEN_DESCRIPTION
+    assert model.mind is not None
+    sight = model.eyes.see(images(51))
+    for text, gate in (("the letter a", 0), ("fly through the red gate", 1), ("fly through the small round gate", 2)):
+        told = model.mind.weigh(text, sight.readings[0, :3], sight.looks[0], sight.readings[0, 3])
+        assert told.choice.argmax() == gate
+        assert np.allclose(told.choice, [4 - 10 * heard(text), 0, 10 * heard(text) - 5.5], atol=1e-5)
+        assert np.exp(told.match[3]) == pytest.approx(0.2)
 
 
 def test_a_model_is_run_with_the_text_encoder_that_it_was_trained_with(tmp_path):

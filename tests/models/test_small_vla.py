@@ -13,7 +13,7 @@ from torch import Tensor
 from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.eyes.finder import CELLS, LOOK_GROUPS, LOOKS, SLOTS, STRIDE, Scene, crops, look_probabilities
 from cognitivedrone.models.eyes.panel_reader import ReaderConfig
-from cognitivedrone.models.small_vla import Head, SmallVLA, SmallVLAConfig
+from cognitivedrone.models.small_vla import Eyes, FlightHead, Head, SmallVLA, SmallVLAConfig
 from cognitivedrone.models.words.language import LanguageConfig
 
 SCHEMA = AttributeSchema(
@@ -52,22 +52,38 @@ def inputs(count: int = 3, seed: int = 1) -> tuple[Tensor, Tensor, Tensor]:
 @pytest.mark.parametrize("head", get_args(Head))
 @pytest.mark.parametrize("chunk", [1, 3])
 @pytest.mark.parametrize("image_size", [128, 256])
-def test_forward_gives_actions_a_choice_and_gates(head: Head, chunk: int, image_size: int) -> None:
+def test_forward_gives_actions_and_a_choice(head: Head, chunk: int, image_size: int) -> None:
     made = network(head=head, chunk=chunk, image_size=image_size)
     with torch.no_grad():
-        action, choice, gates, present = made(*inputs())
-    assert (action.shape, choice.shape, gates.shape) == ((3, chunk, 4), (3, SLOTS + 1), (3, SLOTS, 4))
-    assert present.shape == (3,)
-    assert ((present > 0) & (present < 1)).all()
-    assert {action.dtype, choice.dtype, gates.dtype, present.dtype} == {torch.float32}
+        action, choice = made(*inputs())
+    assert (action.shape, choice.shape) == ((3, chunk, 4), (3, SLOTS + 1))
+    assert {action.dtype, choice.dtype} == {torch.float32}
     assert (action >= made.flight.low).all()
     assert (action <= made.flight.high).all()
     assert choice.sum(-1) == pytest.approx(torch.ones(3), abs=1e-5)
     assert (choice >= 0).all()
+
+
+@pytest.mark.parametrize("reader", [True, False])
+def test_eyes_language_and_head_apart_fly_as_the_whole(reader: bool) -> None:
+    made = network() if reader else network(reader=None)
+    image, state, words = inputs()
+    with torch.no_grad():
+        action, choice = made(image, state, words)
+        gates, slots, whole, *read = Eyes(made)(image)
+        options, logits = FlightHead(made)(slots, whole, state)
+        if read:
+            assert made.language is not None
+            panels, boxes = read
+            query, _ = made.language(words, panels[:, SLOTS], (boxes[:, SLOTS, 3] > 0.5).float())
+            logits[:, :SLOTS] += made.language.choice(query[:, None], panels[:, :SLOTS], slots[..., -LOOKS:])[:, 0]
     scores = gates[..., 2]
-    assert ((scores >= 0) & (scores <= 1)).all()
     assert (scores.diff(dim=1) <= 0).all()  # the likeliest first
+    assert ((scores >= 0) & (scores <= 1)).all()
     assert (gates[..., 3] > 0).all()
+    there = torch.cat([(scores > 0.3).float(), torch.ones(3, 1)], dim=1)
+    torch.testing.assert_close((logits + (there - 1) * 1e4).softmax(-1), choice)
+    torch.testing.assert_close(options[torch.arange(3), choice.argmax(-1)], action)
 
 
 def test_each_row_depends_on_its_own_image_state_and_sentence_alone() -> None:
@@ -122,7 +138,7 @@ def test_the_chosen_gate_s_action_comes_out(chosen: int, head: Head, monkeypatch
     monkeypatch.setattr(made.flight, "choose", lambda *_: logits)
     image, state, words = inputs()
     with torch.no_grad():
-        action, choice, _, _ = made(image, state, words)
+        action, choice = made(image, state, words)
         scene = made.finder.look(image.permute(0, 3, 1, 2).float() / 255)
         every = made.flight.decode(made.flight.act(made.finder.attend(scene, made.finder.find(scene)[0]), state))
     assert choice.argmax(-1).tolist() == [chosen] * 3
@@ -136,11 +152,9 @@ def test_gates_that_were_not_found_are_not_chosen() -> None:
     torch.nn.init.constant_(made.finder.heat.bias, -9.0)
     torch.nn.init.zeros_(made.finder.heat.weight)
     with torch.no_grad():
-        _, choice, gates, present = made(*inputs())
-    assert (gates[..., 2] < 0.3).all()
+        _, choice = made(*inputs())
     assert choice.argmax(-1).tolist() == [SLOTS] * 3
     assert choice[:, :SLOTS].max() == 0
-    assert present.max() < 1e-6  # what cannot be seen is not there
 
 
 def test_a_gate_is_where_its_cell_and_offset_say() -> None:
@@ -149,7 +163,7 @@ def test_a_gate_is_where_its_cell_and_offset_say() -> None:
         torch.nn.init.zeros_(parameter)
     with torch.no_grad():
         made.finder.place.bias.copy_(torch.tensor([0.25, -0.5, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0]))
-        _, _, gates, _ = made(*inputs(1))
+        gates, *_ = Eyes(made)(inputs(1)[0])
         scene = made.finder.look(inputs(1)[0].permute(0, 3, 1, 2).float() / 255)
         cells = made.finder.find(scene)[0].cells[0]
     n = CELLS
@@ -186,7 +200,6 @@ def test_without_a_reader_nothing_is_read_or_heard_and_gates_are_preferred_by_th
     with torch.no_grad():
         assert not made.read(torch.rand(2, 3, 256, 256), torch.full((2, 4, 3), 30.0)).any()
         plain, told = made(image, state), made(image, state, words)
-        assert len(plain) == 3
         assert all(torch.equal(one, other) for one, other in zip(plain, told, strict=True))
         assert made.preference is not None
         made.preference.weight.mul_(-50)
@@ -211,20 +224,6 @@ def test_looks_are_probabilities_of_colour_shape_and_size() -> None:
     shares = look_probabilities(torch.randn(2, SLOTS, LOOKS))
     for span in LOOK_GROUPS:
         torch.testing.assert_close(shares[..., span].sum(-1), torch.ones(2, SLOTS))
-
-
-def test_what_is_asked_for_is_there_if_a_gate_matches_better_than_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    made = network()
-    assert made.language is not None
-    query, _ = made.language(inputs()[2], torch.zeros(3, F), torch.zeros(3))
-    for absent, expected in ((-30.0, 1.0), (30.0, 0.0)):
-        monkeypatch.setattr(made.language, "forward", lambda *_, a=absent: (query, torch.full((3,), a)))
-        with torch.no_grad():
-            action, choice, _, present = made(*inputs())
-        torch.testing.assert_close(present, torch.full((3,), expected))
-        # Where to fly is another question: the policy declines by this number.
-        assert action.isfinite().all()
-        assert choice.sum(-1) == pytest.approx(torch.ones(3), abs=1e-5)
 
 
 def test_bins_and_values_decode_to_the_ends_of_the_range() -> None:

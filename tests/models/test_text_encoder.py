@@ -101,7 +101,7 @@ def test_another_encoder_than_a_model_was_trained_with_is_refused(tmp_path):
 def test_a_file_of_another_kind_is_refused(tmp_path):
     path = tiny_model(tmp_path / "model.onnx")
     says = refused(lambda: TextEncoderModel.load(path))
-    assert "is a model of kind 'small-policy', not 'text-encoder'" in says
+    assert "is a model of kind 'flight-head', not 'text-encoder'" in says
 
 
 @pytest.mark.parametrize(

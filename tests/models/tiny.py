@@ -10,17 +10,11 @@ import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
+from cognitivedrone.models.eyes.sight import EYES, EYES_FILE, FEATURES, LOOKS
+from cognitivedrone.models.mind import LANGUAGE, LANGUAGE_FILE
 from cognitivedrone.models.onnx_file import Provenance, write_table
-from cognitivedrone.models.reasoner_file import (
-    LANGUAGE,
-    LANGUAGE_FILE,
-    LOOKS,
-    READER_FILE,
-    READER_KIND,
-    SELECTOR,
-    SELECTOR_FILE,
-)
-from cognitivedrone.models.small_file import ActionStatistics, Description, describe
+from cognitivedrone.models.small_file import STATE, ActionStatistics, Description, describe
+from cognitivedrone.models.words.selector_file import SELECTOR, SELECTOR_FILE
 from cognitivedrone.models.words.text_encoder import FILE, TEXT_ENCODER
 
 CHUNK = 2
@@ -58,80 +52,122 @@ OPEN_DESCRIPTION = replace(
 """Of a model that reads sentences."""
 Inputs = dict[str, tuple[int, list[Any]]]
 INPUTS: Inputs = {
-    "image": (TensorProto.UINT8, ["batch", 256, 256, 3]),
-    "state": (TensorProto.FLOAT, ["batch", 5]),
+    "slots": (TensorProto.FLOAT, ["batch", 3, 1 + FEATURES]),
+    "whole": (TensorProto.FLOAT, ["batch", 1]),
+    "state": (TensorProto.FLOAT, ["batch", STATE]),
 }
 OUTPUTS: Inputs = {
-    "action": (TensorProto.FLOAT, ["batch", CHUNK, 4]),
-    "choice": (TensorProto.FLOAT, ["batch", 4]),
-    "gates": (TensorProto.FLOAT, ["batch", 3, 4]),
+    "options": (TensorProto.FLOAT, ["batch", 4, CHUNK, 4]),
+    "inclination": (TensorProto.FLOAT, ["batch", 4]),
 }
-OPEN: dict[str, Inputs] = {
-    "inputs": {**INPUTS, "words": (TensorProto.FLOAT, ["batch", "length", WIDTH])},
-    "outputs": {**OUTPUTS, "present": (TensorProto.FLOAT, ["batch"])},
-}
-"""Inputs and outputs of a model that reads sentences."""
 
 
 def graph(inputs: Inputs = INPUTS, outputs: Inputs = OUTPUTS) -> onnx.ModelProto:
-    """A network that answers every step of the chunk with the brightest pixel / 255, the height, the sum of `words` or
-    0, and the yaw rate; the gates' probabilities are all 0.25. Their places are all zero; in models that read
-    sentences, they are ahead and 3 m away, and what is asked for is there with the probability 1 - brightest pixel /
-    255.
+    """A head that answers every step of the chunk with the brightest pixel / 255, the height, a tenth of the number of
+    the gate, 1 to 3, or 0 toward none, and the yaw rate, and is inclined to none.
 
     Other inputs and outputs make a graph that breaks the contract.
     """
-    image, state, *words = inputs
-    constants = {
-        "to_row": [-1, 1],
-        "three": [3],
-        "four": [4],
-        "one": [1],
-        "all_but_batch": [1, 2, 3],
-        "last": [1],
-        "all_words": [1, 2],
-        "chunked": [1, CHUNK, 1],
-        "middle": [1],
-        "four_times": [1, 4],
-        "slots": [1, 3, 4],
-        "five": [5],
-    }
-    initializers = [numpy_helper.from_array(np.array(value, np.int64), name) for name, value in constants.items()]
-    initializers += [
-        numpy_helper.from_array(np.array(255, np.float32), "white"),
-        numpy_helper.from_array(np.array(0.25, np.float32), "quarter"),
-        numpy_helper.from_array(np.array(0, np.float32), "nothing"),
-    ]
-    action, choice, gates, *present = outputs
-    place = [128, 128, 0.9, 3] if present else [0, 0, 0, 0]
-    initializers += [
-        numpy_helper.from_array(np.array(place, np.float32).reshape(1, 1, 4), "place"),
-        numpy_helper.from_array(np.array(1, np.float32), "whole"),
-    ]
+    _, whole, state = inputs
+    options, inclination = outputs
     node = helper.make_node
     nodes = [
-        node("Cast", [image], ["pixels"], to=TensorProto.FLOAT),
+        node("Slice", [state, "three", "five", "last"], ["motion"]),  # height and yaw rate
+        node("Split", ["motion"], ["height", "turn"], axis=1, num_outputs=2),
+        node("Mul", ["height", "nothing"], ["zero"]),
+        node("Concat", [whole, "height", "zero", "turn"], ["command"], axis=1),
+        node("Unsqueeze", ["command", "middle"], ["one"]),
+        node("Add", ["one", "toward"], ["each"]),
+        node("Unsqueeze", ["each", "steps"], ["step"]),
+        node("Tile", ["step", "chunked"], [options]),
+        node("Tile", ["zero", "four_times"], [inclination]),
+    ]
+    toward = np.zeros((1, 4, 4), np.float32)
+    toward[0, :3, 2] = 0.1, 0.2, 0.3
+    return model_of(nodes, inputs, outputs, _constants(
+        three=[3], five=[5], last=[1], middle=[1], steps=[2], chunked=[1, 1, CHUNK, 1], four_times=[1, 4],
+        nothing=np.float32(0), toward=toward,
+    ))  # fmt: skip
+
+
+def tiny_eyes(folder: Path, names: tuple[str, ...] = ()) -> Path:
+    """Write eyes whose only feature is the brightest pixel / 255, which stands in all readings, too, where they have
+    `names`; then they see three gates ahead, 3 m away, else nothing.
+    """
+    node = helper.make_node
+    image: Inputs = {"image": (TensorProto.UINT8, ["batch", 256, 256, 3])}
+    sizes: dict[str, list[Any]] = {"gates": [3, 4], "slots": [3, 1 + FEATURES], "whole": [1]}
+    if names:
+        sizes |= {"readings": [4, len(names)], "boxes": [4, 4]}
+    outputs: Inputs = {name: (TensorProto.FLOAT, ["batch", *size]) for name, size in sizes.items()}
+    values = {
+        "gates": np.full((1, 3, 4), [128, 128, 0.9, 3] if names else 0),
+        "slots": np.zeros((1, 3, 1 + FEATURES)),
+        "readings": np.zeros((1, 4, max(len(names), 1))),
+        "boxes": np.full((1, 4, 4), [128, 60, 30, 0.9]),
+    }
+    values = {name: value for name, value in values.items() if name in outputs}
+    nodes = [
+        node("Cast", ["image"], ["pixels"], to=TensorProto.FLOAT),
         node("ReduceMax", ["pixels", "all_but_batch"], ["brightest"], keepdims=0),
         node("Div", ["brightest", "white"], ["light"]),
-        node("Reshape", ["light", "to_row"], ["x"]),
-        node("Slice", [state, "three", "four", "last"], ["y"]),
-        node("ReduceSum", [words[0], "all_words"], ["heard"], keepdims=0)
-        if words
-        else node("Mul", ["light", "nothing"], ["heard"]),
-        node("Reshape", ["heard", "to_row"], ["z"]),
-        node("Slice", [state, "four", "five", "last"], ["turn"]),
-        node("Concat", ["x", "y", "z", "turn"], ["command"], axis=1),
-        node("Unsqueeze", ["command", "middle"], ["step"]),
-        node("Tile", ["step", "chunked"], [action]),
-        node("Mul", ["x", "nothing"], ["zero"]),
-        node("Add", ["zero", "quarter"], ["even"]),
-        node("Tile", ["even", "four_times"], [choice]),
-        node("Unsqueeze", ["zero", "middle"], ["blank"]),
-        node("Tile", ["blank", "slots"], ["nowhere"]),
-        node("Add", ["nowhere", "place"], [gates]),
-        *(node("Sub", ["whole", "light"], [name]) for name in present),
+        node("Reshape", ["light", "column"], ["whole"]),
+        node("Reshape", ["light", "cube"], ["lights"]),
+        node("Mul", ["lights", "nothing"], ["blank"]),
+        *(node("Add", ["lights" if name == "readings" else "blank", f"{name}.value"], [name]) for name in values),
     ]
-    return model_of(nodes, inputs, outputs, initializers)
+    constants: dict[str, Any] = {f"{name}.value": value.astype(np.float32) for name, value in values.items()}
+    constants |= {"white": np.float32(255), "nothing": np.float32(0)}
+    path = folder / EYES_FILE
+    onnx.save(model_of(nodes, image, outputs, _constants(
+        all_but_batch=[1, 2, 3], column=[-1, 1], cube=[-1, 1, 1], **constants
+    )), str(path))  # fmt: skip
+    write_table(path, EYES, {"facets": names, "width": 1, "classifier": False})
+    return path
+
+
+def tiny_language(folder: Path, names: tuple[str, ...], **fields: Any) -> Path:
+    """Write a language for which no gate is what is asked for with the probability that is read of the first value, and
+    that chooses the left gate for sentences that say little, the right one for those that say much (`heard`).
+    """
+    node = helper.make_node
+    size = len(names)
+    shapes: dict[str, list[Any]] = {
+        "words": ["length", WIDTH],
+        "panels": [3, size],
+        "looks": [3, LOOKS],
+        "board": [size],
+        "seen": [],
+    }
+    inputs: Inputs = {name: (TensorProto.FLOAT, ["batch", *shape]) for name, shape in shapes.items()}
+    outputs: Inputs = {"match": (TensorProto.FLOAT, ["batch", 4]), "choice": (TensorProto.FLOAT, ["batch", 3])}
+    nodes = [
+        node("ReduceSum", ["words", "all_words"], ["heard"], keepdims=0),
+        node("Reshape", ["heard", "column"], ["told"]),
+        node("Mul", ["told", "slope"], ["sloping"]),
+        node("Add", ["sloping", "start"], ["choice"]),
+        node("Slice", ["panels", "begin", "end", "axes"], ["first"]),
+        node("Reshape", ["first", "column"], ["absent"]),
+        node("Sub", ["one", "absent"], ["there"]),
+        node("Concat", ["there", "there", "there", "absent"], ["shares"], axis=1),
+        node("Div", ["shares", "parts"], ["each"]),
+        node("Log", ["each"], ["match"]),
+    ]
+    path = folder / LANGUAGE_FILE
+    onnx.save(model_of(nodes, inputs, outputs, _constants(
+        all_words=[1, 2], column=[-1, 1], begin=[0, 0], end=[1, 1], axes=[1, 2], one=np.float32(1),
+        slope=np.array([[-10, 0, 10]], np.float32), start=np.array([[4, 0, -5.5]], np.float32),
+        parts=np.array([[3, 3, 3, 1]], np.float32),
+    )), str(path))  # fmt: skip
+    write_table(path, LANGUAGE, {"facets": names, "encoder": DIGEST, **fields})
+    return path
+
+
+def _constants(**values: Any) -> list[onnx.TensorProto]:
+    return [
+        numpy_helper.from_array(np.array(value, np.int64) if isinstance(value, list) else np.asarray(value), name)
+        for name, value in values.items()
+    ]
 
 
 def model_of(
@@ -152,16 +188,19 @@ def model_of(
 
 
 def tiny_model(path: Path, description: Description | None = None, **interface: Inputs) -> Path:
-    """Write a model file with what it says of itself."""
+    """Write a head with what it says of itself, and eyes beside it."""
+    described = description or DESCRIPTION
+    tiny_eyes(path.parent, described.attributes)
     onnx.save(graph(**interface), str(path))
-    describe(path, description or DESCRIPTION)
+    describe(path, described)
     return path
 
 
 def open_model_file(path: Path) -> Path:
-    """A model file that reads sentences and tells whether what is asked for is there; its text encoder is beside it."""
+    """A model that reads sentences, with all its files; in a white frame, what is asked for is not there."""
     tiny_encoder(path.parent)
-    return tiny_model(path, OPEN_DESCRIPTION, **OPEN)
+    tiny_language(path.parent, OPEN_DESCRIPTION.attributes)
+    return tiny_model(path, OPEN_DESCRIPTION)
 
 
 def tiny_encoder(folder: Path, **fields: Any) -> Path:
@@ -187,7 +226,7 @@ def tiny_encoder(folder: Path, **fields: Any) -> Path:
 
 
 def heard(text: str) -> float:
-    """What a tiny model that reads sentences says to a sentence of known words: the sum of its tokens / 100."""
+    """What a tiny language hears of a sentence of known words: the sum of its tokens / 100."""
     return sum(PIECES.index(piece) for piece in ("[CLS]", *text.lower().split())) / 100
 
 
@@ -204,18 +243,13 @@ def tiny_reasoner(
     """
     count = len(names)
     table = {"facets": names, "provenance": DESCRIPTION.table()["provenance"]}
-    things = sum(name.startswith("concept/thing:") for name in names)
-    image: Inputs = {
-        "image": INPUTS["image"],
-        "opinions": (TensorProto.FLOAT, ["batch", 3, things]),
-        "paper": (TensorProto.FLOAT, ["batch", 3]),
-    }
-    told = dict(zip(("readings", "looks", "boxes"), reading, strict=True))
-    sizes = {"readings": [4, count], "looks": [3, LOOKS], "boxes": [4, 4]}
-    outputs: Inputs = {name: (TensorProto.FLOAT, ["batch", *size]) for name, size in sizes.items()}
-    reader = folder / READER_FILE
-    onnx.save(_constant(image, outputs, told), str(reader))
-    write_table(reader, READER_KIND, table)
+    readings, looks, boxes = (np.asarray(part, np.float32) for part in reading)
+    slots = np.concatenate([np.zeros((3, 1 + FEATURES - LOOKS), np.float32), looks], axis=1)
+    told = {"gates": boxes[:3], "slots": slots, "whole": np.zeros(1, np.float32), "readings": readings, "boxes": boxes}
+    outputs: Inputs = {name: (TensorProto.FLOAT, ["batch", *value.shape]) for name, value in told.items()}
+    eyes = folder / EYES_FILE
+    onnx.save(_constant({"image": (TensorProto.UINT8, ["batch", 256, 256, 3])}, outputs, told), str(eyes))
+    write_table(eyes, EYES, {**table, "width": 1})
     inputs: Inputs = {name: (TensorProto.INT64, ["batch", "length"]) for name in ("tokens", "positions", "parts")}
     answer = {"logits": np.array(logits, np.float32)}
     selector = folder / SELECTOR_FILE
@@ -230,9 +264,10 @@ def tiny_reasoner(
         "seen": [],
     }
     inputs = {name: (TensorProto.FLOAT, ["batch", *size]) for name, size in shapes.items()}
-    answer = {"logits": np.array(language, np.float32)}
+    answer = {"match": np.array(language, np.float32), "choice": np.array(language[:3], np.float32)}
+    outputs = {name: (TensorProto.FLOAT, ["batch", len(value)]) for name, value in answer.items()}
     path = folder / LANGUAGE_FILE
-    onnx.save(_constant(inputs, {"logits": (TensorProto.FLOAT, ["batch", len(language)])}, answer), str(path))
+    onnx.save(_constant(inputs, outputs, answer), str(path))
     write_table(path, LANGUAGE, {**table, "encoder": DIGEST})
     return folder
 

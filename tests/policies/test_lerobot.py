@@ -12,7 +12,7 @@ import pytest
 
 from cognitivedrone.data.formats.lerobot_files import DOWN_KEY, IMAGE_KEY, feature_spec
 from cognitivedrone.errors import MissingExtra, ModelError, PolicyError
-from cognitivedrone.policies import lerobot, make_policy, model_file
+from cognitivedrone.policies import lerobot, make_policy, policy_files
 from cognitivedrone.policies.lerobot import FILES, SHAPES, WEIGHTS, check_features
 from cognitivedrone.types import EpisodeContext, Observation
 
@@ -41,19 +41,19 @@ def test_its_features_are_those_of_our_export():
 
 
 def test_its_weights_are_part_of_a_runs_identity(tmp_path):
-    assert model_file(f"lerobot:{folder_of(tmp_path, CONFIG)}") == tmp_path / WEIGHTS
+    assert policy_files(f"lerobot:{folder_of(tmp_path, CONFIG)}") == (tmp_path / WEIGHTS,)
 
 
 def test_weights_are_looked_at_before_a_run_hashes_them(tmp_path):
     with (folder_of(tmp_path, CONFIG) / WEIGHTS).open("wb") as file:
         file.truncate(2**40)  # sparse
     with pytest.raises(ModelError, match="is not a safetensors file"):
-        model_file(f"lerobot:{tmp_path}")
+        policy_files(f"lerobot:{tmp_path}")
 
 
 def test_a_folder_that_is_no_checkpoint_is_refused(tmp_path):
     with pytest.raises(ModelError, match="no LeRobot checkpoint: it has no config"):
-        model_file(f"lerobot:{tmp_path}")
+        policy_files(f"lerobot:{tmp_path}")
     (tmp_path / "last" / "pretrained_model").mkdir(parents=True)
     with pytest.raises(ModelError, match=r"give .*last/pretrained_model$"):
         make_policy(f"lerobot:{tmp_path / 'last'}")

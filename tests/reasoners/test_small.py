@@ -8,8 +8,10 @@ from tiny import DESCRIPTION, DIGEST, PIECES, tiny_reasoner
 
 from cognitivedrone.errors import ModelError, ReasonerError
 from cognitivedrone.models.attributes import AttributeSchema
+from cognitivedrone.models.eyes.sight import LOOKS, Sight
+from cognitivedrone.models.mind import LANGUAGE, Weighed
 from cognitivedrone.models.onnx_file import write_table
-from cognitivedrone.models.reasoner_file import LANGUAGE, SELECTOR, PanelReading
+from cognitivedrone.models.words.selector_file import SELECTOR
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.reasoners.scene_text import STAGES
 from cognitivedrone.reasoners.small import SmallReasoner, gate_of
@@ -41,51 +43,47 @@ def reading_of(
     attributes = [logits_of(labels[i], strength) for i in order]
     attributes.append(logits_of(board) if board else np.zeros(len(ATTRIBUTES), np.float32))
     boxes = [(50 + 80 * i, 100, heights[i], scores[i]) for i in order] + [(128, board_v, 50, 0.9 if board else 0.1)]
-    return PanelReading(
-        AttributeSchema(ATTRIBUTES).probabilities(np.stack(attributes)),
-        np.stack([looks_of(GATES[i]) for i in order]),
-        np.array(boxes, np.float32),
-    )
+    readings = AttributeSchema(ATTRIBUTES).probabilities(np.stack(attributes))
+    return readings, np.stack([looks_of(GATES[i]) for i in order]), np.array(boxes, np.float32)
 
 
 class Scripted:
-    """A panel reader with a given output, a gate selector with a set answer, and a language that prefers nothing."""
+    """Eyes with given readings, looks and boxes, a gate selector with a set answer, and a language that prefers
+    nothing.
+    """
+
+    concepts, classifier = None, False
 
     def __init__(self, *sights, answer=(0.05, 0.9, 0.05, 0.0)):
         self.attributes, self.sights, self.answer, self.asked = AttributeSchema(ATTRIBUTES), list(sights), answer, []
-        self.notes, self.heard, self.classifier = {}, [], False
+        self.notes, self.heard = {}, []
 
-    def see(self, image, opinions=None):
-        return self.sights.pop(0)
+    def see(self, images):
+        readings, looks, boxes = self.sights.pop(0)
+        slots = np.concatenate([np.zeros((3, LOOKS), np.float32), looks], axis=1)
+        return Sight(boxes[None, :3], slots[None], np.zeros((1, 1), np.float32), readings[None], boxes[None])
 
     def choose(self, text):
         self.asked.append(text)
         return np.array(self.answer, np.float32)
 
-    @property
-    def tokenizer(self):
-        return self
+    def weigh(self, *scene):
+        self.heard.append(scene)
+        return Weighed(np.zeros(4, np.float32), np.zeros(3, np.float32))
 
-    def encode(self, parts):
-        return (np.ones(1, np.int64),) * 3
-
-    def logits(self, first, *scene):
-        """Of the selector's scenes, or of what the language hears: nothing, unless a test has it say more."""
-        if not scene:
-            return np.zeros((len(first["tokens"]), 4), np.float32)
-        self.heard.append((first, *scene))
-        return np.zeros(4, np.float32)
+    def evidence(self, instruction, panels, classes):
+        return np.zeros(3, np.float32)
 
 
 @pytest.fixture
 def made(monkeypatch, tmp_path):
     """Makes a reasoner around scripted parts."""
-    for name in ("panel_reader.onnx", "gate_selector.onnx", "language.onnx"):
+    for name in ("eyes.onnx", "gate_selector.onnx", "language.onnx"):
         (tmp_path / name).touch()
 
     def make(parts):
-        for model in ("PanelReaderModel", "GateSelectorModel", "LanguageModel"):
-            monkeypatch.setattr(f"cognitivedrone.reasoners.small.{model}.load", lambda _: parts)
+        for load in ("EyesModel.of", "GateSelectorModel.load", "Mind.of"):
+            monkeypatch.setattr(f"cognitivedrone.reasoners.small.{load}", lambda _: parts)
         return SmallReasoner(str(tmp_path))
 
     return make
@@ -105,7 +103,7 @@ ONE_APPLE = "several/food/apple=1@noto"
 
 def test_one_thing_on_a_panel_is_that_thing_unless_things_are_counted(made):
     doubtful = reading_of((ONE_APPLE, "animal/cat@noto", "animal/lion@noto"))
-    row = doubtful.readings[0]
+    row = doubtful[0][0]
     row[ATTRIBUTES.index("concept/thing:apple")] = 1e-3
     reasoner = made(Scripted(doubtful))
     reasoner.refine(FRAME, "to the fruit")
@@ -225,7 +223,7 @@ def test_a_gate_is_named_by_what_is_likeliest():
 
 
 def test_missing_files_are_said(tmp_path):
-    says = r"lacks panel_reader\.onnx, gate_selector\.onnx or language\.onnx; reinstall"
+    says = r"lacks eyes\.onnx, gate_selector\.onnx or language\.onnx; reinstall"
     with pytest.raises(ModelError, match=says):
         SmallReasoner(str(tmp_path))
     (files(tmp_path, (0, 5, 0, 0)) / "language.onnx").unlink()
@@ -383,20 +381,17 @@ def test_displays_are_told_what_it_has_read_and_which_gate_it_takes_for_the_righ
 class Hearing(Scripted):
     """A gate selector that is undecided, and a language that weighs how likely each panel shows a B."""
 
-    def logits(self, first, *scene):
-        found = super().logits(first, *scene)
-        if not scene:
-            return found
+    def weigh(self, instruction, panels, *others):
         b = ATTRIBUTES.index("concept/letter:B")
-        return np.array([*np.log1p(scene[0][:, b] * np.expm1(6.0)), 1.0], np.float32)
+        match = np.array([*np.log1p(panels[:, b] * np.expm1(6.0)), 1.0], np.float32)
+        return Weighed(match, match[:3])
 
 
 def test_a_faint_reading_that_alone_fits_decides_where_the_scene_as_read_does_not(made):
-    sight = reading_of(LETTERS)
-    faint = sight._replace(readings=sight.readings.copy())
+    faint = reading_of(LETTERS)
     b, w = (ATTRIBUTES.index(f"concept/letter:{letter}") for letter in "BW")
-    seen = faint.readings[1, b]
-    faint.readings[1, [b, w]] = 0.27 * seen, 0.73 * seen  # takes it for a W, and maybe for a B
+    seen = faint[0][1, b]
+    faint[0][1, [b, w]] = 0.27 * seen, 0.73 * seen  # takes it for a W, and maybe for a B
     reasoner = made(Hearing(faint, answer=(0.3, 0.3, 0.3, 0.1)))
     reasoner.reset(EpisodeContext("the B"))
     found = reasoner.refine(FRAME, "the B")

@@ -18,15 +18,15 @@ from weights_manifest import MANIFEST, WEIGHTS, main
 def test_the_manifest_is_of_the_shipped_files() -> None:
     assert main(["--check"]) == 0
     files = json.loads((WEIGHTS / MANIFEST).read_text(encoding="utf-8"))
-    reasoner = {f"reasoner/{name}.onnx" for name in ("gate_selector", "language", "panel_reader")}
+    small = {f"small/{name}.onnx" for name in ("eyes", "gate_selector", "language", "model")}
     assert set(files) == {
         "concepts.onnx",
         "obstacles.onnx",
         "picture_classifier.onnx",
-        "race.onnx",
-        "small.onnx",
+        "race/eyes.onnx",
+        "race/model.onnx",
         "text_encoder.onnx",
-        *reasoner,
+        *small,
     }
     for facts in files.values():
         assert len(facts["commit"]) == 40, "trained from a commit, with nothing changed"
@@ -39,7 +39,7 @@ def test_other_weights_are_noticed(
     weights = tmp_path / "weights"
     shutil.copytree(WEIGHTS, weights)
     monkeypatch.setattr(weights_manifest, "WEIGHTS", weights)
-    shutil.copyfile(weights / "small.onnx", weights / "race.onnx")
+    shutil.copyfile(weights / "small" / "model.onnx", weights / "race" / "model.onnx")
     assert main(["--check"]) == 1
     assert "python scripts/weights_manifest.py" in capsys.readouterr().err
     main([])

@@ -20,7 +20,8 @@ CHECKED: tuple[str, ...] = (
 )
 CHECKED += (
     "models.small_file",
-    "models.reasoner_file",
+    "models.eyes.sight",
+    "models.mind",
     "models.openvla.actions",
     "policies.small",
     "policies.openvla",

@@ -128,7 +128,7 @@ def reasoner_parts(tmp_path_factory: pytest.TempPathFactory, policy_file: Path) 
             patch.setitem(ALL_RECIPES, "selector", SMALL_SELECTOR)
             assert run(TrainPlan(out, "selector", start=policy_file)) == out / "gate_selector.onnx"
         assert {path.name for path in out.glob("*.onnx")} == {"gate_selector.onnx"}
-        for name in ("panel_reader.onnx", "language.onnx", "text_encoder.onnx"):
+        for name in ("eyes.onnx", "language.onnx", "text_encoder.onnx"):
             shutil.copy(policy_file.parent / name, out)
 
     return made_once(tmp_path_factory, "reasoner", make) / "selector"

@@ -12,12 +12,10 @@ import torch
 from quick_trainings import SMALL_SELECTOR, TINY_READER, killed_at, train_here
 
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.labels import load_pack
 from cognitivedrone.models.eyes.finder import LOOK_GROUPS
-from cognitivedrone.models.eyes.opinions import NONE
-from cognitivedrone.models.eyes.panel_reader import PanelReader
-from cognitivedrone.models.reasoner_file import LOOKS, GateSelectorModel, PanelReaderModel
+from cognitivedrone.models.eyes.sight import LOOKS
 from cognitivedrone.models.words.scene_tokens import INPUTS, SceneTokenizer
+from cognitivedrone.models.words.selector_file import GateSelectorModel
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.training.config import TrainPlan
@@ -30,7 +28,6 @@ from cognitivedrone.training.perception.readings import Readings, readings_of
 from cognitivedrone.training.reasoner.reader import ReaderTraining
 from cognitivedrone.training.reasoner.selector import SELECTOR, SelectorTraining, look_of, scene_of
 from cognitivedrone.training.reasoner.selector_files import PACKAGE, export_selector, trained_selector
-from cognitivedrone.training.small_vla.export import load_trained
 from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint
 from cognitivedrone.training.trainer.run_log import METRICS, read_rows
 from cognitivedrone.training.trainer.start import read_start
@@ -213,24 +210,6 @@ def test_the_gate_selector_learns_a_batch_by_heart(family: str, training_task: S
 # ---- the trained parts
 
 
-def test_the_panel_reader_in_onnx_reads_as_in_torch(reasoner_parts: Path, policy_file: Path) -> None:
-    policy, _ = load_trained(policy_file)
-    assert policy.reader is not None
-    reader = PanelReader(policy.finder, policy.reader, policy.schema).eval()
-    image = np.random.default_rng(0).integers(0, 256, (256, 256, 3), dtype=np.uint8)
-    image[60:120, 80:140] = load_pack("open-v1").image("animal/cat@noto")[::4, ::4][:60, :60]
-    with torch.no_grad():
-        opinions = torch.randn(1, 3, len(policy.schema.things)), torch.tensor([[1.0, 0.3, NONE]])
-        told = [part[0].numpy() for part in reader(torch.from_numpy(image)[None], *opinions)]
-    model = PanelReaderModel.load(reasoner_parts / "panel_reader.onnx")
-    assert model.attributes.names == ATTRIBUTES
-    assert model.provenance.recipe == "debug"
-    assert model.classifier
-    asked = dict(zip(("opinions", "paper"), (each[0].numpy() for each in opinions), strict=True))
-    for mine, theirs in zip(model.see(image, asked), told, strict=True):
-        np.testing.assert_allclose(mine, theirs, atol=0.02, rtol=0.02)
-
-
 def test_the_gate_selector_in_onnx_answers_as_in_torch(
     reasoner_parts: Path, training_task: SelectorTraining, tmp_path: Path
 ) -> None:
@@ -266,7 +245,7 @@ def test_the_small_reasoner_is_made_of_the_files_of_policy_and_selector(reasoner
         shutil.copy(path, tmp_path)
     reasoner = make_reasoner(f"small:{tmp_path}")
     assert isinstance(reasoner, SmallReasoner)
-    assert SmallReasoner.file_of(str(tmp_path))[0] == tmp_path / "panel_reader.onnx"
+    assert SmallReasoner.file_of(str(tmp_path))[0] == tmp_path / "eyes.onnx"
     reasoner.reset(EpisodeContext("the letter A"))
 
 

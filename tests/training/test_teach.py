@@ -338,10 +338,10 @@ def test_a_taught_pilot_is_flown_and_taught_again(taught: Path, labels: Path) ->
     model = SmallModel.load(taught / "model.onnx")
     assert "concept/thing:robin" in model.description.attributes
     reasoner = SmallReasoner(taught)
-    assert "concept/thing:blue_tit" in reasoner.reader.attributes.names
-    assert reasoner.language.attributes == reasoner.reader.attributes
+    assert "concept/thing:blue_tit" in reasoner.attributes.names
+    assert reasoner.mind.attributes == reasoner.attributes
     assert {path.name for path in taught.glob("*.onnx")} == {
-        "model.onnx", "panel_reader.onnx", "gate_selector.onnx", "language.onnx", "text_encoder.onnx"
+        "model.onnx", "eyes.onnx", "gate_selector.onnx", "language.onnx", "text_encoder.onnx"
     }  # fmt: skip
     assert reasoner.selector.notes == read_lesson(labels).notes()
     again = TINY.training(Given(start=taught, labels=labels))

@@ -142,7 +142,7 @@ def _taught(pilot: Pilot) -> frozenset[str]:
     if isinstance(model := getattr(pilot.policy, "model", None), SmallModel):
         found.update(model.description.attributes)
     if isinstance(pilot.reasoner, SmallReasoner):
-        found.update(pilot.reasoner.reader.attributes.names)
+        found.update(pilot.reasoner.attributes.names)
     return taught_names(found)
 
 

@@ -14,7 +14,7 @@ def push(
 ) -> None:
     """Upload a model or a data set to the Hugging Face Hub, as one commit.
 
-    Models are folders with model.onnx, or panel_reader.onnx, gate_selector.onnx and language.onnx; data sets are what
+    Models are folders with model.onnx, or eyes.onnx, gate_selector.onnx and language.onnx; data sets are what
     `collect` and `data export` (LeRobot, RLDS) write. The token is HF_TOKEN or that of `hf auth login`. Examples:
 
       cognitivedrone hub push runs/selector ME/my-reasoner --dry-run

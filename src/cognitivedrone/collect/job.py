@@ -12,9 +12,9 @@ from cognitivedrone import tasks
 from cognitivedrone.collect.fleet import Fleet, FlownEpisode
 from cognitivedrone.collect.recipe import Recipe
 from cognitivedrone.errors import DataError, RunError
-from cognitivedrone.files import digest_of_file
+from cognitivedrone.files import digest_of_files
 from cognitivedrone.plan import TaskSource
-from cognitivedrone.policies import make_policy, model_file
+from cognitivedrone.policies import make_policy, policy_files
 from cognitivedrone.tasks import Suite
 from cognitivedrone.text.printable import shown_address
 
@@ -37,10 +37,8 @@ class Learner:
 
 def learner_of(policy: str, beta: float) -> Learner:
     """The policy under training of this name. Raises `PolicyError` if its model file is missing."""
-    file = model_file(policy)
-    if file is None:
-        return Learner(policy, beta, None)
-    return Learner(policy, beta, digest_of_file(file))
+    files = policy_files(policy)
+    return Learner(policy, beta, digest_of_files(*files) if files else None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,9 @@ forward and turns to either side, so that the reasoner reads every panel larger 
 these places counts, that no gate matches included. Then the drone goes back some way, and turns to the gate that was
 chosen, from where the policy flies on. A drone that makes no headway, because the gate that it flew to has left the
 view, looks closer, too. The places are known by dead reckoning alone.
+
+Only boxes of the panels tell how near they are. Where a reasoner gives none, as a language model that answers in words,
+the drone stays where it is, and waits for one more answer.
 """
 
 from __future__ import annotations
@@ -43,7 +46,7 @@ class LookRule:
     near: float = 0.15
     """A place is reached this near to it, m and rad."""
     patience_s: float = 4.0
-    """Maximum time on the way to a place, and there."""
+    """Maximum time on the way to a place; and for the answer there, without which the look ends as if in vain."""
     headway_m: float = 0.8
     headway_s: float = 6.0
     """A drone that stays within this of a place for so long has lost its gate."""
@@ -73,9 +76,11 @@ class CloserLook:
         self._time: float | None = None
         self._anchor, self._anchored = np.zeros(3), 0.0
         """Where it was last seen to make headway, and when."""
-        self._left: list[tuple[float, float]] = []
+        self._left: list[tuple[float, float, float]] = []
+        """The places that are left, x, y and yaw."""
         self._since, self._arrived, self._returns = 0.0, False, False
-        self._near = False
+        self._sees = self._near = False
+        """Whether the reasoner tells where the panels are, and whether one is as near as may be."""
 
     @classmethod
     def of(cls, option: Literal["yes", "no"]) -> Self:
@@ -86,12 +91,12 @@ class CloserLook:
     def described(self) -> str:
         """What it does, for logs."""
         doubt = f"{self.sure:.0%} sure that the scene shows what is asked for"
-        return f"looking closer, {self.reason or doubt}" if self.active else f"flying on, {doubt}"
+        return f"looking closer, {self.reason or doubt}" if self.active else f"looked closer, {doubt}"
 
     @property
     def ahead(self) -> bool:
         """Whether it is on the way to the first place, or there, where what is in the way has not been seen yet."""
-        return self.active and not self._returns and len(self._left) == len(self.rule.places)
+        return self.active and self._sees and not self._returns and len(self._left) == len(self.rule.places)
 
     @property
     def listens(self) -> bool:
@@ -141,7 +146,8 @@ class CloserLook:
             value = answer.certainty or 0.0
         else:
             return not self.active
-        self._near = any(panel.box is not None and panel.box[2] >= self.rule.largest_px for panel in answer.seen)
+        heights = [panel.box[2] for panel in answer.seen if panel.box is not None]
+        self._sees, self._near = self._sees or bool(heights), max(heights, default=0.0) >= self.rule.largest_px
         if not self.active:
             self._answers += 1
             self.sure = value if self._answers == 1 else self.sure + self.rule.newest * (value - self.sure)
@@ -158,15 +164,15 @@ class CloserLook:
         """What leads to the next place, (4,), or holds the position there; only while it looks closer."""
         now, rule = self._time or 0.0, self.rule
         if now - self._since > rule.patience_s:
-            if self._arrived:
-                self._next()
+            if self._arrived and not self._returns:
+                self._return(0)
             else:
                 self._arrive(now)
         if not self.active:
             return np.zeros(4, np.float32)
-        x, yaw = self._left[0]
+        x, y, yaw = self._left[0]
         cos, sin = np.cos(self._pose[2]), np.sin(self._pose[2])
-        dx, dy = x - self._pose[0], -self._pose[1]
+        dx, dy = x - self._pose[0], y - self._pose[1]
         if dx > 0 and self._near:
             dx = 0.0
         turn = (yaw - self._pose[2] + np.pi) % (2 * np.pi) - np.pi
@@ -177,7 +183,8 @@ class CloserLook:
 
     def _look(self, reason: str = "") -> None:
         self.active, self._looks, self.reason = True, self._looks + 1, reason or self.reason
-        self._left, self._returns = list(self.rule.places), False
+        ahead = [(x, 0.0, yaw) for x, yaw in self.rule.places]
+        self._left, self._returns = ahead if self._sees else [self._here], False
         self._since, self._arrived = self._time or 0.0, False
 
     def _arrive(self, now: float) -> None:
@@ -185,13 +192,23 @@ class CloserLook:
         if self._returns:
             self.active, self._anchor, self._anchored = False, self._pose.copy(), now
 
-    def _next(self, side: int = 0) -> None:
+    def _next(self, side: int) -> None:
         """Leave for the next place; from the last one back, turned to the gate on a `side`: left 1, right -1."""
         self._left = self._left[1:]
         self._since, self._arrived = self._time or 0.0, False
         if not self._left:
-            self.ended = self._returns = True
-            self._left = [(self.rule.back[0], side * self.rule.back[1])]
+            self.ended = True
+            self._return(side)
+
+    def _return(self, side: int) -> None:
+        back, turn = self.rule.back
+        self._left = [(back, 0.0, side * turn)] if self._sees else [self._here]
+        self._since, self._arrived, self._returns = self._time or 0.0, False, True
+
+    @property
+    def _here(self) -> tuple[float, float, float]:
+        x, y, yaw = self._pose.tolist()
+        return x, y, yaw
 
 
 def _towards(offset: FloatArray, way: float, turn: float, rule: LookRule) -> Action:

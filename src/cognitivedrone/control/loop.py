@@ -147,7 +147,7 @@ def fly(
         held = look.given_up or (not looks and led)
         if held:
             pending = [np.zeros(4, dtype=np.float32)]
-        elif guidance is None and segment.goal is not None and (segment.goal.kind == "if" or segment.goal.avoid):
+        elif not looks and guidance is None and segment.goal and (segment.goal.kind == "if" or segment.goal.avoid):
             pending = [np.zeros(4, dtype=np.float32)]  # nobody has said yet what is not flown through
         elif landing:
             pending = [lander.act(observation, pad)]

@@ -1,17 +1,14 @@
-"""The small VLA's file: one ONNX graph with its attribute values, action statistics and provenance.
+"""The small VLA's files: a folder with the head that flies, the eyes that it sees by, and its language.
 
-Contract of the graph; the batch is a dynamic axis, k the description's `chunk`:
+`model.onnx` is the head: one ONNX graph with action statistics and provenance of the whole. Beside it stand `eyes.onnx`
+(`eyes.sight`) and, of a policy that reads sentences, `language.onnx` (`mind`). Contract of the head's graph; the batch
+is a dynamic axis, k the description's `chunk`:
 
-- inputs `image` uint8 (batch, 256, 256, 3); `state` float32 (batch, 5): velocity x, y, z in the heading frame, m/s,
-  height above ground, m, and yaw rate, rad/s; of a policy that reads sentences, `words` float32 (batch, L, W), as the
-  text encoder that the description names gives them (`text_encoder`); and, of one that asks the picture classifier,
-  `opinions` float32 (batch, 3, T) and `paper` float32 (batch, 3) (`opinions`);
-- outputs `action` float32 (batch, k, 4): velocity x, y, z in the heading frame, m/s, and yaw rate, rad/s; `choice`
-  float32 (batch, 4): probability of each detected gate, and last of none of those in view; `gates` float32
-  (batch, 3, 4): each one's centre u, v in pixels, detection score 0 to 1, and distance in m; of a policy that reads
-  sentences, `present` float32 (batch,): probability that one of them is what the sentence asks for; and, of one that
-  asks the picture classifier, `panels` float32 (batch, 3, 4): each one's centre u, v and height in pixels, and which of
-  the three colours its gate has.
+- inputs `slots` and `whole`, as the eyes give them, and `state` float32 (batch, 5): velocity x, y, z in the heading
+  frame, m/s, height above ground, m, and yaw rate, rad/s;
+- outputs `options` float32 (batch, 4, k, 4): velocity x, y, z in the heading frame, m/s, and yaw rate, rad/s, toward
+  each gate and, last, toward none of those in view; `inclination` float32 (batch, 4): logits by which the head would
+  choose among these if nothing were asked for.
 
 The description is JSON, see `onnx_file`.
 """
@@ -19,7 +16,7 @@ The description is JSON, see `onnx_file`.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -29,11 +26,11 @@ from jaxtyping import Float32
 from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError, PolicyError
-from cognitivedrone.models.attributes import AttributeSchema
-from cognitivedrone.models.eyes.opinions import Opinions
-from cognitivedrone.models.eyes.picture_classifier import PictureClassifier, classifier_of
+from cognitivedrone.models.eyes.sight import EYES_FILE, FEATURES, EyesModel, Sight
+from cognitivedrone.models.mind import LANGUAGE_FILE, Mind
 from cognitivedrone.models.onnx_file import (
     Provenance,
+    Tensors,
     check_graph,
     count_of,
     field_of,
@@ -42,13 +39,17 @@ from cognitivedrone.models.onnx_file import (
     texts_of,
     write_table,
 )
-from cognitivedrone.models.words.text_encoder import TextEncoderModel, packed
-from cognitivedrone.types import COLORS, IMAGE_SIZE, Float32Array
+from cognitivedrone.types import IMAGE_SIZE, Float32Array
 
-KIND = "small-policy"
-FORMER = {"small-vla": "a policy of an earlier kind, which reads sentences by a list of words"}
-_ANY = 1
+KIND = "flight-head"
+MODEL_FILE = "model.onnx"
+FORMER = {
+    "small-vla": "a policy of an earlier kind, which reads sentences by a list of words",
+    "small-policy": "a policy of an earlier kind, which sees and flies by one file",
+}
 
+STATE = 5
+"""Velocity x, y, z (heading frame, m/s), height (m), yaw rate (rad/s)."""
 Four = tuple[float, float, float, float]
 """One number for each of velocity x, y, z in m/s and yaw rate in rad/s."""
 
@@ -84,8 +85,6 @@ class Description:
     provenance: Provenance
     attributes: tuple[str, ...] = ()
     """Names of the attribute values that it reads of panels."""
-    classifier: bool = False
-    """Whether it asks the picture classifier; not after a lesson, whose reader knows the user's own photographs."""
     image_size: int = IMAGE_SIZE
     """Height and width of the input image, pixels."""
 
@@ -110,7 +109,6 @@ class Description:
             action=statistics_of(field_of(table, "action", dict, where), where),
             network=field_of(table, "network", dict, where),
             attributes=texts_of(table, "facets", where),
-            classifier=table.get("classifier") is True,
             provenance=provenance_of(table, where),
         )
         if described.image_size != IMAGE_SIZE:
@@ -119,30 +117,13 @@ class Description:
 
 
 @dataclass(frozen=True, slots=True)
-class Output:
-    """The network's output for n frames."""
+class Flown:
+    """The head's output for n frames."""
 
-    action: Float32[Float32Array, "images steps 4"]
-    """(n, k, 4), heading frame, m/s and rad/s: for the next k control steps."""
-    choice: Float32[Float32Array, "images 4"]
-    """(n, 4) probability that each detected gate is the right one; last, that none of them is."""
-    gates: Float32[Float32Array, "images 3 4"]
-    """(n, 3, 4) for each detected gate: centre u, v in pixels, detection score 0 to 1, distance in m."""
-    present: Float32[Float32Array, images] | None = None
-    """(n,) probability that one of them is what the sentence asks for; None of models that cannot tell."""
-    panels: Float32[Float32Array, "images 3 4"] | None = None
-    """(n, 3, 4) of each gate's panel: centre u, v and height in pixels, and the number of its gate's colour; None of
-    models that do not ask the picture classifier."""
-    occupied: Float32[Float32Array, "images 16 16"] | None = None
-    """(n, 16, 16) for each part of the frame, rows from the top: probability of an obstacle, as the obstacle eye sees
-    it; None where nobody asked it."""
-    depth: Float32[Float32Array, "images 16 16"] | None = None
-    """(n, 16, 16) its distance along the camera's axis, m, if there is one."""
-
-    def without_numbers(self) -> str | None:
-        """The name of the first part that holds a value which is not a number; none if there is none."""
-        parts = ((field.name, getattr(self, field.name)) for field in fields(self))
-        return next((name for name, values in parts if values is not None and np.isnan(values).any()), None)
+    options: Float32[Float32Array, "images 4 steps 4"]
+    """(n, 4, k, 4), heading frame, m/s and rad/s: for the next k control steps, toward each gate and toward none."""
+    inclination: Float32[Float32Array, "images 4"]
+    """(n, 4) logits of these."""
 
 
 def describe(path: str | Path, description: Description) -> None:
@@ -160,102 +141,66 @@ def read_description(path: str | Path) -> Description:
 
 
 class SmallModel:
-    """The network, run by ONNX Runtime on the CPU."""
+    """Eyes, mind and head of a policy, run by ONNX Runtime on the CPU."""
 
-    def __init__(
-        self,
-        session: Any,
-        description: Description,
-        encoder: TextEncoderModel | None,
-        opinions: Opinions | None = None,
-    ) -> None:
-        """Wrap an `onnxruntime.InferenceSession`; `load` creates one from a file."""
+    def __init__(self, session: Any, description: Description, eyes: EyesModel, mind: Mind | None) -> None:
+        """`session` runs the head; `load` creates one from a file."""
         self._session = session
         self.description = description
-        self._encoder = encoder
-        self.opinions = opinions
-        """Those of a flight that has not begun, of a model that asks the picture classifier; each flight has a fork."""
+        self.eyes = eyes
+        self.mind = mind
+        """None of a model that reads no sentences."""
 
     @classmethod
     def load(cls, path: str | Path, *, threads: int = 1) -> SmallModel:
-        """Load a model file, to be run on `threads` cores, and its text encoder: beside it, or the packaged one.
+        """Load a head, to be run on `threads` cores, with eyes and language beside it, which a reasoner shares.
 
         Raises `ModelError` where a file is missing, too large, damaged, cut short, does not keep to the contract, or
-        where the text encoder is another one than the policy was trained with.
+        where the files do not belong together.
         """
-        session, table = open_model(Path(path), KIND, threads=threads, optimise=True, former=FORMER)
+        path = Path(path)
+        session, table = open_model(path, KIND, threads=threads, optimise=True, former=FORMER)
         description = Description.of(table, str(path))
-        _check_graph(session, description, str(path))
-        if not description.encoder:
-            return cls(session, description, None)
-        encoder = TextEncoderModel.of_digest(description.encoder, Path(path), threads=threads)
-        if not description.classifier:
-            return cls(session, description, encoder)
-        classifier = PictureClassifier.load(classifier_of(Path(path)), threads=threads)
-        return cls(session, description, encoder, Opinions(classifier, AttributeSchema(description.attributes)))
+        eyes = EyesModel.of(beside(path, EYES_FILE), threads=threads)
+        inputs: Tensors = {
+            "slots": ("tensor(float)", (3, eyes.width + FEATURES)),
+            "whole": ("tensor(float)", (eyes.width,)),
+            "state": ("tensor(float)", (STATE,)),
+        }
+        outputs: Tensors = {
+            "options": ("tensor(float)", (4, description.chunk, 4)),
+            "inclination": ("tensor(float)", (4,)),
+        }
+        check_graph(session, inputs, outputs, str(path))
+        mind = Mind.of(beside(path, LANGUAGE_FILE), threads=threads) if description.encoder else None
+        if mind is not None and not (
+            mind.encoder.digest == description.encoder
+            and mind.attributes.names == eyes.attributes.names == description.attributes
+        ):
+            raise ModelError(f"{path}, {EYES_FILE}, {LANGUAGE_FILE} do not belong together; take all from one folder")
+        return cls(session, description, eyes, mind)
 
     @property
     def words(self) -> frozenset[str]:
         """The words that its text encoder knows whole; empty if it reads no sentences."""
-        pieces = () if self._encoder is None else self._encoder.tokenizer.pieces
+        pieces = () if self.mind is None else self.mind.encoder.tokenizer.pieces
         return frozenset(piece for piece in pieces if piece.isalpha())
 
-    def run(
-        self,
-        images: NDArray[np.uint8],
-        states: NDArray[np.float32],
-        texts: Sequence[str],
-        opinions: Sequence[Opinions | None] | None = None,
-    ) -> Output:
-        """Run the network on n frames (n, 256, 256, 3) with states (n, 5), each with its own sentence.
-
-        `opinions` are those of each frame's flight, by default none. Raises `PolicyError` for other shapes or types.
-        """
-        size = IMAGE_SIZE
-        _check_input("images", images, np.uint8, (len(texts), size, size, 3))
-        _check_input("states", states, np.float32, (len(texts), 5))
-        inputs: dict[str, NDArray[Any]] = {"image": images, "state": states}
-        if self._encoder is not None:
-            inputs["words"] = packed([self._encoder.words(text) for text in texts])
-        if self.opinions is not None:
-            known = [(each or self.opinions).arrays() for each in opinions or [None] * len(texts)]
-            inputs |= {name: np.stack([each[name] for each in known]) for name in ("opinions", "paper")}
-        return Output(*self._session.run(_outputs(self.description), inputs))
+    def fly(self, sight: Sight, states: NDArray[np.float32]) -> Flown:
+        """The head's output for what n frames show, with states (n, 5). Raises `PolicyError` for other shapes."""
+        shape = (len(sight.whole), STATE)
+        if states.dtype != np.float32 or states.shape != shape:
+            raise PolicyError(f"states must be float32 {shape}, not {states.dtype} {states.shape}")
+        inputs = {"slots": sight.slots, "whole": sight.whole, "state": states}
+        return Flown(*self._session.run(("options", "inclination"), inputs))
 
 
-def _check_input(name: str, array: NDArray[Any], kind: type, shape: tuple[int, ...]) -> None:
-    if array.dtype != kind or array.shape != shape:
-        raise PolicyError(f"{name} must be {np.dtype(kind)} {shape}, not {array.dtype} {array.shape}")
-
-
-def _check_graph(session: Any, description: Description, where: str) -> None:
-    size = description.image_size
-    inputs: dict[str, tuple[str, tuple[int, ...]]] = {
-        "image": ("tensor(uint8)", (size, size, 3)),
-        "state": ("tensor(float)", (5,)),
-    }
-    if description.encoder:
-        language = field_of(description.network, "language", dict, where)
-        inputs["words"] = ("tensor(float)", (_ANY, count_of(language, "size", where)))
-    if description.classifier:
-        things = len(AttributeSchema(description.attributes).things)
-        inputs |= {"opinions": ("tensor(float)", (len(COLORS), things)), "paper": ("tensor(float)", (len(COLORS),))}
-    shapes: dict[str, tuple[int, ...]] = {
-        "action": (description.chunk, 4),
-        "choice": (4,),
-        "gates": (3, 4),
-        "present": (),
-        "panels": (3, 4),
-    }
-    outputs = {name: ("tensor(float)", shapes[name]) for name in _outputs(description)}
-    check_graph(session, inputs, outputs, where)
-
-
-def _outputs(description: Description) -> tuple[str, ...]:
-    named = ("action", "choice", "gates")
-    if not description.encoder:
-        return named
-    return (*named, "present", "panels") if description.classifier else (*named, "present")
+def beside(model: Path, name: str) -> Path:
+    """A file of the same folder; raises `ModelError` where there is none."""
+    path = model.with_name(name)
+    if not path.is_file():
+        raise ModelError(f"{name} is missing beside {model}: a model flies with all files of its training's folder")
+    return path
 
 
 def _table(value: Any) -> dict[str, Any]:

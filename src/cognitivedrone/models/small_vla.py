@@ -30,15 +30,11 @@ from cognitivedrone.models.eyes.finder import (
     look_probabilities,
     panel_boxes,
 )
-from cognitivedrone.models.eyes.joined import Joined
 from cognitivedrone.models.eyes.panel_reader import Probabilities, Reader, ReaderConfig
+from cognitivedrone.models.small_file import STATE
 from cognitivedrone.models.words.language import Language, LanguageConfig
-from cognitivedrone.types import COLORS
 
 Head = Literal["tokens", "regression"]
-
-STATE = 5
-"""Velocity x, y, z (heading frame, m/s), height (m), yaw rate (rad/s)."""
 
 _STATE_SCALE = (1.5, 1.5, 1.0, 1.5, 1.0)
 
@@ -143,7 +139,6 @@ class SmallVLA(nn.Module):
         self.finder = Finder(config.backbone, config.blocks, config.image_size)
         self.reader = None if config.reader is None else Reader(config.reader, len(schema.names))
         self.probabilities = Probabilities(schema)
-        self.joined = Joined(schema)
         self.language = None if config.reader is None else Language(config.language, schema)
         self.preference = nn.Linear(LOOKS, 1, bias=False) if config.reader is None else None
         self.flight = Flight(config)
@@ -163,58 +158,81 @@ class SmallVLA(nn.Module):
         shares: Tensor = self.probabilities(logits)
         return shares.view(*boxes.shape[:2], -1)
 
-    def forward(
-        self,
-        image: Tensor,
-        state: Tensor,
-        words: Tensor | None = None,
-        opinions: Tensor | None = None,
-        paper: Tensor | None = None,
-    ) -> tuple[Tensor, ...]:
-        """Of images uint8 (B, 256, 256, 3), state (B, 5), encoded sentences `words` (B, L, W): what a policy needs.
+    def forward(self, image: Tensor, state: Tensor, words: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """Of images uint8 (B, 256, 256, 3), state (B, 5), encoded sentences `words` (B, L, W): what flies in training.
 
-        With `opinions` (B, 3, T) and `paper` (B, 3), what the picture classifier thinks of the panels counts, too, and
-        it is returned where the panels are.
-
-        Returns actions (B, chunk, 4) in m/s and rad/s; the choice (B, 4), probabilities of the three slots and of none
-        of them; the slots (B, 3, 4): centre u, v in pixels, score 0 to 1 and distance in m; and, of a network with
-        language, the probability (B,) that one of the visible gates is what the sentence asks for; then, where there
-        are opinions, the panels (B, 3, 4): centre u, v and height in pixels, and which of three colours its gate has.
+        Returns actions (B, chunk, 4) in m/s and rad/s, and the choice (B, 4), probabilities of the three slots and of
+        none of them. In flight the same parts run apart (`Eyes`, `Language`, `FlightHead`), and more than this is known
+        of the panels.
         """
         pixels = image.permute(0, 3, 1, 2).float() / 255
         scene: Scene = self.finder.look(pixels)
         slots, scores, board = self.finder.find(scene)
         seen = self.finder.attend(scene, slots)
         looks = look_probabilities(seen.looks)
-        there = (scores > 0.3).float()
-        more: tuple[Tensor, ...] = ()
         if self.language is None or words is None:
             match = self.prefer(looks)
         else:
-            boxes = panel_boxes(slots, seen)
-            read = self.read(pixels, boxes)
-            panels = read[:, :SLOTS]
-            if opinions is not None and paper is not None:
-                panels = self.joined(panels, looks, opinions, paper)
-            query, absent = self.language(words, read[:, SLOTS], (board > 0.5).float())
-            match = self.language.choice(query[:, None], panels, looks)
-            faint = self.language.match(query[:, None], panels, looks)[:, 0]
-            among = torch.cat([faint + (there - 1) * 1e4, absent[:, None]], dim=1).softmax(-1)
-            more = (1 - among[:, SLOTS],)
-            if opinions is not None:
-                color = looks[..., : len(COLORS)].argmax(-1, keepdim=True).float()
-                more += (torch.cat([boxes[:, :SLOTS], color], dim=-1),)
+            read = self.read(pixels, panel_boxes(slots, seen))
+            query, _ = self.language(words, read[:, SLOTS], (board > 0.5).float())
+            match = self.language.choice(query[:, None], read[:, :SLOTS], looks)
         logits = self.flight.choose(match, seen, state)[:, 0]
-        visible = torch.cat([there, torch.ones_like(there[:, :1])], dim=1)
+        visible = torch.cat([(scores > 0.3).float(), torch.ones_like(scores[:, :1])], dim=1)
         choice = (logits + (visible - 1) * 1e4).softmax(-1)
         actions = self.flight.decode(self.flight.act(seen, state))
         best = choice.argmax(dim=-1)[:, None, None, None].expand(-1, 1, self.config.chunk, 4)
-        centers = gate_boxes(slots, seen)
-        found = torch.stack([centers[..., 0], centers[..., 1], scores, seen.geometry[..., 2].exp()], dim=-1)
-        return actions.gather(1, best)[:, 0], choice, found, *more
+        return actions.gather(1, best)[:, 0], choice
 
     def prefer(self, looks: Tensor) -> Tensor:
         """Logits (B, 1, S) of a network without language, of gates that look like `looks` (B, S, 8)."""
         assert self.preference is not None  # noqa: S101  (for the type checker)
         logits: Tensor = self.preference(looks.float())[..., 0][:, None]
         return logits
+
+
+class Eyes(nn.Module):
+    """What a network sees in frames, whatever is asked for and however the drone moves: one part that flies."""
+
+    def __init__(self, network: SmallVLA) -> None:
+        super().__init__()
+        self.finder, self.reader, self.probabilities = network.finder, network.reader, network.probabilities
+
+    def forward(self, image: Tensor) -> tuple[Tensor, ...]:
+        """From images uint8 (B, 256, 256, 3).
+
+        Returns the gates (B, 3, 4): centre u, v in pixels, score 0 to 1 and distance in m; `slots` (B, 3, C + 16), each
+        gate's features, geometry, and probabilities of its look; and `whole` (B, C). With a reader also `readings`
+        (B, 4, F), probabilities of the attribute values of three panels and the board, and `boxes` (B, 4, 4): centre u,
+        v and height of panels and board, pixels, and the score of gate or board. Gates are unordered.
+        """
+        pixels = image.permute(0, 3, 1, 2).float() / 255
+        scene = self.finder.look(pixels)
+        slots, scores, board = self.finder.find(scene)
+        seen = self.finder.attend(scene, slots)
+        centers = gate_boxes(slots, seen)
+        gates = torch.stack([centers[..., 0], centers[..., 1], scores, seen.geometry[..., 2].exp()], dim=-1)
+        features = torch.cat([seen.cell, seen.geometry, look_probabilities(seen.looks)], dim=-1)
+        if self.reader is None:
+            return gates, features, seen.whole
+        boxes = panel_boxes(slots, seen)
+        read = self.probabilities(self.reader(crops(pixels, boxes, self.reader.config.crop_size)))
+        found = torch.cat([boxes, torch.cat([scores, board[:, None]], dim=1)[..., None]], dim=-1)
+        return gates, features, seen.whole, read.view(image.shape[0], SLOTS + 1, -1), found
+
+
+class FlightHead(nn.Module):
+    """How a network flies to each gate, and which it would rather fly to, whatever is asked for: the other part."""
+
+    def __init__(self, network: SmallVLA) -> None:
+        super().__init__()
+        self.flight, self.preference = network.flight, network.preference
+
+    def forward(self, slots: Tensor, whole: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+        """From `slots` and `whole` of `Eyes`, and state (B, 5), to actions (B, 4, chunk, 4) toward each gate and, last,
+        toward none of those in view, m/s and rad/s, and logits (B, 4) of these.
+        """
+        cell, geometry = slots[..., : -GEOMETRY - LOOKS], slots[..., -GEOMETRY - LOOKS : -LOOKS]
+        looks = slots[..., -LOOKS:]
+        seen = Seen(cell, whole, geometry, geometry[:, 0], looks)
+        liked = torch.zeros_like(looks[..., 0]) if self.preference is None else self.preference(looks)[..., 0]
+        return self.flight.decode(self.flight.act(seen, state)), self.flight.choose(liked[:, None], seen, state)[:, 0]

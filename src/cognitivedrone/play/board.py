@@ -21,7 +21,6 @@ from cognitivedrone.errors import CognitiveDroneError
 from cognitivedrone.film.frame import Scene, scenes_of
 from cognitivedrone.frames import quaternion_from_yaw, rotate_yaw
 from cognitivedrone.interfaces import Reasoner
-from cognitivedrone.models.small_file import Output
 from cognitivedrone.pilot import Pilot
 from cognitivedrone.play.channels import Channels
 from cognitivedrone.play.chase import ChaseProcess, jpeg
@@ -248,11 +247,11 @@ def thoughts(policy: object, reasoner: Reasoner | None) -> dict[str, Any]:
     table: dict[str, Any] = {"seen": [seen_table(panel) for panel in (reasoner.seen if reasoner is not None else ())]}
     if isinstance(reasoner, SmallReasoner) and reasoner.concepts is not None:
         table["heard"] = [[what, round(fit, 2)] for what, fit in reasoner.concepts.heard]
-    output: Output | None = policy.last if isinstance(policy, Small) else None
-    if output is not None:
+    decision = policy.last if isinstance(policy, Small) else None
+    if decision is not None:
         table["choice"] = [
             {"u": round(float(u), 1), "score": round(float(score), 2), "right": round(float(p), 3)}
-            for (u, _, score, _), p in zip(output.gates[0], output.choice[0], strict=False)
+            for (u, _, score, _), p in zip(decision.gates, decision.choice, strict=False)
         ]
     return table
 

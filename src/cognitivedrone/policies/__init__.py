@@ -28,12 +28,12 @@ SELF_CONTAINED = ("oracle", "colour_seeker", "small", "race", "hover", "random")
 """Those that need no file of the user's, no server and no download: a file from somebody else may name them."""
 
 
-def model_file(name: str) -> Path | None:
-    """The model file of the package's policy of this name; none if it has none.
+def policy_files(name: str) -> tuple[Path, ...]:
+    """Every file that the policy of this name decides by; none if it has none.
 
     Raises `PolicyError` if the file is missing.
     """
-    return next(iter(registry.files_of("policy", name, POLICIES, POLICY_METHODS)), None)
+    return registry.files_of("policy", name, POLICIES, POLICY_METHODS)
 
 
 def make_policy(name: str) -> Policy:

@@ -5,51 +5,83 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Self, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError, NonFiniteAction, PluginError, PolicyError
 from cognitivedrone.interfaces import Policy, attempt
 from cognitivedrone.models.eyes.obstacle_eye import ObstacleEye, eye_of
 from cognitivedrone.models.eyes.opinions import Opinions
+from cognitivedrone.models.eyes.picture_classifier import PictureClassifier, classifier_of
+from cognitivedrone.models.eyes.sight import EYES_FILE, Sight
+from cognitivedrone.models.mind import LANGUAGE_FILE, Mind, fits_of
 from cognitivedrone.models.onnx_file import check_model_file
-from cognitivedrone.models.small_file import Output, SmallModel
+from cognitivedrone.models.small_file import MODEL_FILE, Flown, SmallModel
+from cognitivedrone.models.words.concepts import concepts_of
+from cognitivedrone.models.words.text_encoder import encoder_of
 from cognitivedrone.policies.avoidance import Avoidance
 from cognitivedrone.system import cores
-from cognitivedrone.types import IMAGE_SIZE, Action, ActionChunk, EpisodeContext, FloatArray, Image, Observation
+from cognitivedrone.tasks.directives import looks_asked
+from cognitivedrone.types import COLORS, IMAGE_SIZE, Action, ActionChunk, EpisodeContext, FloatArray, Image, Observation
 
 LONGEST_INSTRUCTION = 1000
 """Maximum length in characters."""
-_VISIBLE = 0.3  # minimum score of a visible gate
+_VISIBLE, _BOARD = 0.3, 0.5  # minimum scores of a visible gate and board
 _NEAR_M = 1.2  # nearer to a gate, panels leave the view
 _ENOUGH = 4  # frames: soon the panels beside the chosen one leave the view
 _NEWEST = 0.15  # minimum weight of the newest frame
+_SURE = 12.0  # log-odds of a gate that looks as asked, against none in view
+_LEAST = 1e-6  # probability of a gate that does not
 _DECLINE, _RESUME = 0.2, 0.4  # mean probabilities
 _LOOKS = 1  # of the picture classifier in a frame: it costs as much as the rest
 _SHAPE = (IMAGE_SIZE, IMAGE_SIZE, 3)
 
 
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What is decided on one frame, for viewers, too."""
+
+    action: ActionChunk
+    """(k, 4), heading frame, m/s and rad/s."""
+    choice: FloatArray
+    """(4,) probability that each gate in view is the right one; last, that none of them is."""
+    gates: FloatArray
+    """(3, 4) for each gate: centre u, v in pixels, detection score 0 to 1, distance in m."""
+    present: float | None = None
+    """Probability that one of them is what the sentence asks for; None of models that read no sentences."""
+    occupied: FloatArray | None = None
+    """(16, 16) for each part of the frame, rows from the top: probability of an obstacle; None where nobody asked."""
+    depth: FloatArray | None = None
+    """(16, 16) its distance along the camera's axis, m, if there is one."""
+
+    def without_numbers(self) -> str | None:
+        """The name of the first part that holds a value which is not a number; none if there is none."""
+        parts = ((field.name, getattr(self, field.name)) for field in fields(self))
+        return next((name for name, value in parts if value is not None and np.isnan(value).any()), None)
+
+
 @dataclass(slots=True)
 class Presence:
-    """Whether a gate matches the instruction, from the network's answers to all frames so far that show three gates."""
+    """Whether a gate matches the instruction, from what was decided on all frames so far that show three gates."""
 
     frames: int = 0
     mean: float = 1.0
     """Mean probability that one of the gates is the right one; newer frames weigh more."""
     declining: bool = False
 
-    def update(self, output: Output) -> bool:
-        """Process the answer to a frame (n = 1); returns whether to decline."""
-        scores, distances = output.gates[0, :, 2], output.gates[0, :, 3]
-        if output.present is None or (scores < _VISIBLE).any() or distances.min() < _NEAR_M:
+    def update(self, decision: Decision) -> bool:
+        """Process what was decided on a frame; returns whether to decline."""
+        scores, distances = decision.gates[:, 2], decision.gates[:, 3]
+        if decision.present is None or (scores < _VISIBLE).any() or distances.min() < _NEAR_M:
             return self.declining
         self.frames += 1
-        self.mean += max(_NEWEST, 1 / self.frames) * (float(output.present[0]) - self.mean)
+        self.mean += max(_NEWEST, 1 / self.frames) * (decision.present - self.mean)
         # Hysteresis, so that a drone that hovers does not waver.
         limit = _RESUME if self.declining else _DECLINE
         self.declining = self.frames >= _ENOUGH and self.mean < limit
@@ -71,21 +103,23 @@ class Small(Policy):
 
     reads_english_only = True
 
-    weights = "small.onnx"
-    """The packaged file, in `cognitivedrone/models/weights`."""
+    weights = "small"
+    """The folder of the packaged files, in `cognitivedrone/models/weights`."""
 
     def __init__(self, path: Path | str | None = None, *, stack: int = 1, avoid: bool = True) -> None:
         if stack < 1:
             raise PluginError(f"policy 'small': stack is {stack}; it must be at least 1")
         self._stack = stack
         self._threads: ThreadPoolExecutor | None = None
-        file = self.file_of(path)
+        file, *_ = self.file_of(path)
         self.model = SmallModel.load(file)
         self._eye = ObstacleEye.load(eye_of(file)) if avoid else None
         self._avoidance = Avoidance()
-        self._opinions = None if self.model.opinions is None else self.model.opinions.fork()
-        self.last: Output | None = None
-        """The network's output for the last frame, n = 1, for viewers; none before the first."""
+        asks = self.model.mind is not None and self.model.eyes.classifier
+        classifier = PictureClassifier.of(classifier_of(file)) if asks else None
+        self._opinions = None if classifier is None else Opinions(classifier, self.model.eyes.attributes)
+        self.last: Decision | None = None
+        """What was decided on the last frame; none before the first."""
         self._text = ""
         self._state: FloatArray | None = None
         self._presence = Presence()
@@ -97,17 +131,23 @@ class Small(Policy):
         return self._presence.mean if self._presence.frames else None
 
     @classmethod
-    def file_of(cls, path: Path | str | None = None, *, stack: int = 1, avoid: bool = True) -> Path:  # noqa: ARG003
-        """The model file of a policy made with `path`; raises `ModelError` if it does not exist or is too large."""
-        packaged = Path(str(resources.files("cognitivedrone.models") / "weights" / cls.weights))
+    def file_of(cls, path: Path | str | None = None, *, stack: int = 1, avoid: bool = True) -> tuple[Path, ...]:  # noqa: ARG003
+        """Every file that a policy made with `path` decides by, its head first; raises `ModelError` if one does not
+        exist or is too large.
+        """
+        packaged = Path(str(resources.files("cognitivedrone.models") / "weights" / cls.weights / MODEL_FILE))
         if path is None and not packaged.is_file():
             raise ModelError(
                 f"this installation has no model {cls.weights}: reinstall cognitivedrone, or train one with"
                 " `cognitivedrone train` and give its file, as in --policy small:model.onnx"
             )
-        found = packaged if path is None else Path(path)
-        check_model_file(found)  # a run hashes it before it is loaded
-        return found
+        head = packaged if path is None else Path(path)
+        found = [head, head.with_name(EYES_FILE)]
+        if (language := head.with_name(LANGUAGE_FILE)).is_file():
+            found += [language, classifier_of(head), concepts_of(head), encoder_of(head)]
+        for file in (*found, *([eye_of(head)] if avoid else [])):
+            check_model_file(file)  # a run hashes it before it is loaded
+        return (*found, *([eye_of(head)] if avoid else []))
 
     def reset(self, context: EpisodeContext) -> None:
         """Take a new instruction.
@@ -127,10 +167,10 @@ class Small(Policy):
         `NonFiniteAction` if the network's output is not finite.
         """
         frame = self._frame(observation)
-        (output,) = _run(self.model, self._eye, [frame])
-        if isinstance(output, Exception):
-            raise output
-        return self._decide(frame, output)
+        (decision,) = _run(self.model, self._eye, [frame])
+        if isinstance(decision, Exception):
+            raise decision
+        return self._follow(frame, decision)
 
     def around(self, action: Action) -> Action:
         """As `Policy.around`: the obstacles in the newest frame, and those seen before."""
@@ -154,9 +194,9 @@ class Small(Policy):
         """As `Policy.act_batch`, on all cores; see the class."""
         forks = cast(Sequence[Small], sessions)
         frames = [attempt(fork._frame, seen) for fork, seen in zip(forks, observations, strict=True)]
-        outputs = iter(self._outputs([frame for frame in frames if isinstance(frame, _Frame)]))
+        decisions = iter(self._decisions([frame for frame in frames if isinstance(frame, _Frame)]))
         return [
-            frame if isinstance(frame, Exception) else fork._decided(frame, next(outputs))
+            frame if isinstance(frame, Exception) else fork._followed(frame, next(decisions))
             for fork, frame in zip(forks, frames, strict=True)
         ]
 
@@ -179,41 +219,42 @@ class Small(Policy):
         if self._opinions is not None:
             self._opinions.reset()
 
-    def _outputs(self, frames: Sequence[_Frame]) -> Sequence[Output | Exception]:
-        """The network's outputs for frames of several flights, n = 1 each."""
+    def _decisions(self, frames: Sequence[_Frame]) -> Sequence[Decision | Exception]:
+        """What is decided on frames of several flights."""
         number = cores()
         size = max(1, min(self._stack, -(-len(frames) // number)))
         groups = [frames[first : first + size] for first in range(0, len(frames), size)]
         if len(groups) < 2:
-            return [output for group in groups for output in _run(self.model, self._eye, group)]
+            return [made for group in groups for made in _run(self.model, self._eye, group)]
         self._threads = self._threads or ThreadPoolExecutor(number, "small")
-        return [output for group in self._threads.map(partial(_run, self.model, self._eye), groups) for output in group]
+        return [made for group in self._threads.map(partial(_run, self.model, self._eye), groups) for made in group]
 
-    def _decided(self, frame: _Frame, output: Output | Exception) -> ActionChunk | Exception:
-        return output if isinstance(output, Exception) else attempt(partial(self._decide, frame), output)
+    def _followed(self, frame: _Frame, decision: Decision | Exception) -> ActionChunk | Exception:
+        return decision if isinstance(decision, Exception) else attempt(partial(self._follow, frame), decision)
 
-    def _decide(self, frame: _Frame, output: Output) -> ActionChunk:
-        """The action for a frame, from the network's output (n = 1)."""
-        self.last, self._state = output, frame.state
-        action: ActionChunk = output.action[0]
-        if not np.isfinite(action).all():
-            raise NonFiniteAction(f"the model answered {action[0].tolist()} to the state {frame.state.tolist()}")
-        if name := output.without_numbers():  # the drone would look for a gate until its time is over
+    def _follow(self, frame: _Frame, decision: Decision) -> ActionChunk:
+        """The action for a frame, from what was decided on it."""
+        self.last, self._state = decision, frame.state
+        if not np.isfinite(decision.action).all():
+            raise NonFiniteAction(
+                f"the model answered {decision.action[0].tolist()} to the state {frame.state.tolist()}"
+            )
+        if name := decision.without_numbers():  # the drone would look for a gate until its time is over
             raise NonFiniteAction(
                 f"the model's {name} holds values that are not numbers, for the state {frame.state.tolist()}; if it is"
                 " so for every frame, its weights are damaged: train or download it again"
             )
-        self.declines = self._presence.update(output)
-        action = self._around(action, frame, output)
+        self.declines = self._presence.update(decision)
+        action = self._avoiding(frame, decision)
         return np.zeros_like(action) if self.declines else action
 
-    def _around(self, action: ActionChunk, frame: _Frame, output: Output) -> ActionChunk:
+    def _avoiding(self, frame: _Frame, decision: Decision) -> ActionChunk:
         """The commands that fly around the obstacles of a frame, and those seen before."""
-        if output.occupied is None or output.depth is None:
-            return action
+        if decision.occupied is None or decision.depth is None:
+            return decision.action
         velocity, height, yaw_rate = frame.state[:3], float(frame.state[3]), float(frame.state[4])
-        self._avoidance.see(output.occupied[0], output.depth[0], velocity, yaw_rate, frame.time)
-        return np.stack([self._avoidance.around(each, velocity, height) for each in action])
+        self._avoidance.see(decision.occupied, decision.depth, velocity, yaw_rate, frame.time)
+        return np.stack([self._avoidance.around(each, velocity, height) for each in decision.action])
 
     def _listen(self, text: str) -> None:
         if not text.strip():
@@ -238,34 +279,68 @@ class _Frame:
     """Since the start of the flight, s."""
 
 
-def _run(model: SmallModel, eye: ObstacleEye | None, frames: Sequence[_Frame]) -> Sequence[Output | Exception]:
-    """The outputs, n = 1, for frames that go through the networks together; then their panels are looked at again."""
-    images, states = (np.stack([getattr(frame, name) for frame in frames]) for name in ("image", "state"))
-    opinions = [frame.opinions for frame in frames]
-    outputs = attempt(partial(model.run, images, states, opinions=opinions), [frame.text for frame in frames])
-    if isinstance(outputs, Exception):
-        return [outputs] * len(frames)
-    if outputs.panels is not None:
-        for frame, gates, panels in zip(frames, outputs.gates, outputs.panels, strict=True):
-            there = panels[gates[:, 2] > _VISIBLE]
-            if frame.opinions is not None:
-                frame.opinions.look(frame.image, there[:, :3], there[:, 3].astype(int).tolist(), _LOOKS)
-    if eye is not None:
-        seen = attempt(eye.look, images)
-        if isinstance(seen, Exception):
-            return [seen] * len(frames)
-        outputs = replace(outputs, occupied=seen[0], depth=seen[1])
-    values = {field.name: getattr(outputs, field.name) for field in fields(Output)}
-    return [
-        replace(outputs, **{name: value[row : row + 1] for name, value in values.items() if value is not None})
-        for row in range(len(frames))
-    ]
+def _run(model: SmallModel, eye: ObstacleEye | None, frames: Sequence[_Frame]) -> Sequence[Decision | Exception]:
+    """What is decided on frames that go through the networks together."""
+    try:
+        images, states = (np.stack([getattr(frame, name) for frame in frames]) for name in ("image", "state"))
+        sight = model.eyes.see(images)
+        flown = model.fly(sight, states)
+        seen = None if eye is None else eye.look(images)
+    except Exception as error:  # of every frame
+        return [error] * len(frames)
+    return [attempt(partial(_decide, model, sight, flown, seen, row), frame) for row, frame in enumerate(frames)]
+
+
+def _decide(
+    model: SmallModel,
+    sight: Sight,
+    flown: Flown,
+    seen: tuple[FloatArray, FloatArray] | None,
+    row: int,
+    frame: _Frame,
+) -> Decision:
+    """Choose among the gates of a frame, and those alone that are surely there."""
+    gates, logits = sight.gates[row], flown.inclination[row].copy()
+    there, present = gates[:, 2] > _VISIBLE, None
+    if model.mind is not None and sight.readings is not None and sight.boxes is not None:
+        asked, present = _judged(model.mind, sight.readings[row], sight.boxes[row], sight.looks[row], there, frame)
+        logits[:3] += asked
+    choice = _softmax(np.where([*there, True], logits, -np.inf))
+    action = flown.options[row, int(choice.argmax())]
+    return Decision(action, choice, gates, present, *(() if seen is None else (part[row] for part in seen)))
+
+
+def _judged(
+    mind: Mind, readings: FloatArray, boxes: FloatArray, looks: FloatArray, there: NDArray[np.bool_], frame: _Frame
+) -> tuple[FloatArray, float]:
+    """Logits (3,) of the gates by what the sentence asks for, and the probability that one of them is it.
+
+    A directive, and whatever else names a gate by its looks alone, is about nothing but the looks.
+    """
+    if (asked := looks_asked(frame.text)) is not None:
+        fits = fits_of(asked, looks) * there
+        return _SURE + np.log(fits + _LEAST), 1 - float((1 - fits).prod())
+    panels, classes = readings[:3], None
+    if frame.opinions is not None:
+        colors = looks[:, : len(COLORS)].argmax(axis=1)
+        frame.opinions.look(frame.image, boxes[:3, :3][there], colors[there].tolist(), _LOOKS)
+        panels, classes = frame.opinions.joined(panels, looks), frame.opinions.classes(colors.tolist())
+    board = readings[3] if boxes[3, 3] > _BOARD else np.zeros_like(readings[3])
+    heard = mind.weigh(frame.text, panels, looks, board)
+    present = 1 - float(_softmax(np.where([*there, True], heard.match, -np.inf))[3])
+    return heard.choice + mind.evidence(frame.text, panels, classes), present
+
+
+def _softmax(logits: FloatArray) -> FloatArray:
+    shares = np.exp(logits - logits.max())
+    found: FloatArray = shares / shares.sum()
+    return found
 
 
 class Race(Small):
     """The racing model, for single gates of any kind. It reads no instruction: it is for "Fly through the gates"."""
 
-    weights = "race.onnx"
+    weights = "race"
 
     def __init__(self, path: Path | str | None = None, *, stack: int = 1) -> None:
         super().__init__(path, stack=stack, avoid=False)

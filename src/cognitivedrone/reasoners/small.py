@@ -20,32 +20,24 @@ from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError, ReasonerError
 from cognitivedrone.interfaces import Reasoner
+from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.eyes.opinions import Opinions
 from cognitivedrone.models.eyes.picture_classifier import PictureClassifier, classifier_of
+from cognitivedrone.models.eyes.sight import EYES_FILE, LOOKS, EyesModel
+from cognitivedrone.models.mind import LANGUAGE_FILE, Mind, fits_of
 from cognitivedrone.models.onnx_file import check_model_file
-from cognitivedrone.models.reasoner_file import (
-    LANGUAGE_FILE,
-    LOOKS,
-    READER_FILE,
-    SELECTOR_FILE,
-    GateSelectorModel,
-    LanguageModel,
-    PanelReaderModel,
-    PanelReading,
-    shares_of,
-)
-from cognitivedrone.models.words.concepts import Concepts, ConceptsModel, concepts_of, evidence
+from cognitivedrone.models.words.concepts import Concepts, concepts_of
 from cognitivedrone.models.words.scene_tokens import SceneText
+from cognitivedrone.models.words.selector_file import SELECTOR_FILE, GateSelectorModel, shares_of
 from cognitivedrone.models.words.text_encoder import encoder_of
 from cognitivedrone.reasoners.scene_text import STAGES, ReadScene, SceneWriter, gate_of
 from cognitivedrone.tasks.directives import HOLD, looks_asked, write_directive
-from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Guidance, Image, SeenPanel
+from cognitivedrone.types import COLORS, EpisodeContext, Guidance, Image, SeenPanel
 
 _SEEN = 0.3  # minimum score of a visible gate or board
 _DECLINED, _NAMED = 0.4, 0.28  # least probability of the answer that no gate matches; of a gate, more than one of four
 _SELECTOR, _OTHERS = 0.8, 0.2  # weights of opinions; set, not learnt
-_LEAST, _FAINT = 1e-6, 1e-4  # shares of an answer and of a thing that are not ruled out
-_OF_THINGS = ("kind/thing", "kind/unknown")
+_LEAST = 1e-6  # share of an answer that is not ruled out
 _SAID = 4  # readings of a panel for displays
 _LEGIBLE_PX = 8.0  # panels lower than this are illegible
 
@@ -88,38 +80,38 @@ class SmallReasoner(Reasoner):
     def __init__(self, folder: Path | str | None = None) -> None:
         """Raises `ModelError` if a file is missing, or the files do not belong together."""
         place = _place_of(folder)
-        self.reader = PanelReaderModel.load(place / READER_FILE)
+        self.eyes, self.mind = EyesModel.of(place / EYES_FILE), Mind.of(place / LANGUAGE_FILE)
         self.selector = GateSelectorModel.load(place / SELECTOR_FILE)
-        self.language = LanguageModel.load(place / LANGUAGE_FILE)
-        if not self.reader.attributes == self.selector.attributes == self.language.attributes:
+        if not self.eyes.attributes == self.selector.attributes == self.mind.attributes:
             raise ModelError(
-                f"{place}: panel reader, gate selector and language do not belong together; take all from one release"
+                f"{place}: eyes, language and gate selector do not belong together; take all from one release"
             )
-        self._opinions: Opinions | None = None
-        if self.reader.classifier:
-            classifier = PictureClassifier.load(classifier_of(place / READER_FILE))
-            self._opinions = Opinions(classifier, self.reader.attributes)
-        self.concepts: Concepts | None = None
-        """What sentences are taken for; none without a photograph network, or a table that its text encoder read."""
-        path = concepts_of(place / READER_FILE)
-        table = ConceptsModel.load(path)
-        if self.reader.classifier and (table.digest == self.language.encoder.digest or path.parent == place):
-            things = [self.reader.attributes.names[column] for column in self.reader.attributes.things]
-            self.concepts = Concepts(table, self.language.encoder, things)
-        self._writer = SceneWriter(self.reader.attributes, self.selector.notes)
-        self._size = len(self.reader.attributes.names)
+        classifier = PictureClassifier.of(classifier_of(place / EYES_FILE)) if self.eyes.classifier else None
+        self._opinions = None if classifier is None else Opinions(classifier, self.attributes)
+        self._writer = SceneWriter(self.attributes, self.selector.notes)
+        self._size = len(self.attributes.names)
         self._stage = self._new()
         self._earlier: list[list[tuple[Floats, int]]] = []
         self._answered: tuple[SceneText | None, Floats] = (None, np.zeros(4, np.float32))
         """The scene that the selector was asked about last, in words, and its answer."""
 
+    @property
+    def attributes(self) -> AttributeSchema:
+        """What it reads on panels."""
+        return self.eyes.attributes
+
+    @property
+    def concepts(self) -> Concepts | None:
+        """What sentences are taken for; none of a taught reasoner, or with another text encoder than the packaged."""
+        return self.mind.concepts if self.eyes.classifier else None
+
     @classmethod
     def file_of(cls, folder: Path | str | None = None) -> tuple[Path, ...]:
         """Every file that it answers by; raises `ModelError` if one is missing or too large."""
         place = _place_of(folder)
-        reader = place / READER_FILE
-        beside = (concepts_of(reader), classifier_of(reader), encoder_of(reader))
-        found = (reader, place / SELECTOR_FILE, place / LANGUAGE_FILE, *beside)
+        eyes = place / EYES_FILE
+        beside = (concepts_of(eyes), classifier_of(eyes), encoder_of(eyes))
+        found = (eyes, place / SELECTOR_FILE, place / LANGUAGE_FILE, *beside)
         for file in found:
             check_model_file(file)  # a run hashes it before it is loaded
         return found
@@ -180,7 +172,35 @@ class SmallReasoner(Reasoner):
 
     def look(self, image: Image) -> None:
         """Add the readings of a frame (256, 256, 3) to those of the stage."""
-        self._add(self._see(image))
+        sight = self.eyes.see(image[None])
+        assert sight.readings is not None and sight.boxes is not None  # noqa: S101, PT018  (eyes that read)
+        known, boxes, looks = sight.readings[0], sight.boxes[0], sight.looks[0]
+        panels, colors = known[:3], looks[:, : len(COLORS)].argmax(axis=1).tolist()
+        there = boxes[:3, 3] >= _SEEN
+        if self._opinions is not None:
+            self._opinions.look(image, boxes[:3, :3][there], [colors[slot] for slot in np.flatnonzero(there)])
+            panels = self._opinions.joined(panels, looks)
+        for gate in self._stage.gates.values():
+            gate.box = None
+        for slot in np.flatnonzero(there).tolist():
+            u, v, height, score = boxes[slot].tolist()
+            legible = height >= _LEGIBLE_PX
+            # Nearer is clearer; illegible readings must not outweigh legible ones.
+            weight = score * (min(height, 60.0) if legible else 0.01)
+            gate = self._stage.gates.setdefault(
+                colors[slot], _Gate(np.zeros(LOOKS, np.float32), np.zeros(self._size, np.float32), u=u)
+            )
+            gate.u = u if there.all() else gate.u  # where it is beside the others shows only where all are in view
+            gate.looks += weight * looks[slot]
+            gate.attributes += weight * panels[slot]
+            gate.weight += weight
+            gate.height, gate.box = max(gate.height, height), (u, v, height)
+        _, v, height, score = boxes[3].tolist()
+        if score >= 0.5:
+            # A sum cut by the image's edge, as the drone flies below it, reads as another.
+            weight = score * height * (1.0 if v > height / 2 else 0.01)
+            self._stage.board += weight * known[3]
+            self._stage.board_weight += weight
 
     def read(self) -> tuple[Sequence[int], ReadScene, Floats | None]:
         """What the frames of this stage have shown so far, gates from left to right: their colours by number, the
@@ -202,40 +222,26 @@ class SmallReasoner(Reasoner):
         well what the reader and the photograph network see fits the sentence, in concepts that no training has named.
         """
         if (asked := looks_asked(instruction)) is not None:
-            return _fitting(asked, scene.looks)
+            return _alone(fits_of(asked, scene.looks))
         text = self._writer.write(instruction, scene)
         if text != self._answered[0]:  # the selector costs most, and is asked again only when the scene reads otherwise
             self._answered = text, self.selector.choose(text)
-        heard = self.language.logits(instruction, scene.panels, scene.looks, scene.board)
+        heard = self.mind.weigh(instruction, scene.panels, scene.looks, scene.board).match
         told = _SELECTOR * np.log(self._answered[1] + _LEAST) + _OTHERS * np.log(shares_of(heard[None])[0] + _LEAST)
-        if classes is not None and self.concepts is not None and self._shows_things(scene.panels):
-            things, fits = self.concepts.fits(instruction)
-            shares = scene.panels[:, list(self.reader.attributes.things)] + _FAINT
-            for seen, fit in ((shares / shares.sum(axis=1, keepdims=True), things), (classes, fits)):
-                likely = evidence(seen, fit)
-                none = np.log(np.exp(likely).mean())  # it is as likely as the gates are in the mean
-                told[:3] += _OTHERS * (likely - none)
+        told[:3] += _OTHERS * self.mind.evidence(instruction, scene.panels, classes)
         chosen: Floats = shares_of(told[None])[0]
         return chosen
-
-    def _shows_things(self, panels: Floats) -> bool:
-        """Whether panels (n, F) show animals, foods and objects rather than letters, people, sums or the like."""
-        attributes = self.reader.attributes
-        kinds = attributes.groups["kind"]
-        others = [place for place in range(kinds.start, kinds.stop) if attributes.names[place] not in _OF_THINGS]
-        share: float = panels[:, others].sum(axis=1).mean()
-        return share < 0.5
 
     def _shown(self, gates: Sequence[tuple[int, _Gate]]) -> Floats:
         """(n, F): what the panels of gates show, by all frames so far."""
         if not gates:
             return np.zeros((0, self._size), np.float32)
-        return self.reader.attributes.single_things(np.stack([gate.attributes / gate.weight for _, gate in gates]))
+        return self.attributes.single_things(np.stack([gate.attributes / gate.weight for _, gate in gates]))
 
     def _seen(self, gates: Sequence[tuple[int, _Gate]], panels: Floats) -> tuple[SeenPanel, ...]:
         """The readings so far, gates from left to right."""
-        concepts = self.reader.attributes.groups["concept"]
-        names = self.reader.attributes.names[concepts]
+        concepts = self.attributes.groups["concept"]
+        names = self.attributes.names[concepts]
         found = []
         for (color, gate), mean in zip(gates, panels, strict=True):
             likeliest = np.argsort(-mean[concepts])[:_SAID]
@@ -252,59 +258,13 @@ class SmallReasoner(Reasoner):
     def _new(self) -> _Stage:
         return _Stage(np.zeros(self._size, np.float32))
 
-    def _see(self, image: Image) -> PanelReading:
-        """The reading of a frame; it is read again where the picture classifier has a new opinion on its panels."""
-        if self._opinions is None:
-            return self.reader.see(image)
-        reading = self.reader.see(image, self._opinions.arrays())
-        there = reading.boxes[:3, 3] >= _SEEN
-        colors = reading.looks[there][:, : len(COLORS)].argmax(axis=1).tolist()
-        if self._opinions.look(image, reading.boxes[:3][there][:, :3], colors):
-            reading = self.reader.see(image, self._opinions.arrays())
-        return reading
-
-    def _add(self, reading: PanelReading) -> None:
-        """Add the readings of a frame."""
-        known = reading.readings
-        together = bool((reading.boxes[:3, 3] >= _SEEN).all())
-        for gate in self._stage.gates.values():
-            gate.box = None
-        for slot in range(3):
-            u, v, height, score = reading.boxes[slot].tolist()
-            if score < _SEEN:
-                continue
-            color = int(reading.looks[slot, : len(COLORS)].argmax())
-            legible = height >= _LEGIBLE_PX
-            # Nearer is clearer; illegible readings must not outweigh legible ones.
-            weight = score * (min(height, 60.0) if legible else 0.01)
-            gate = self._stage.gates.setdefault(
-                color, _Gate(np.zeros(LOOKS, np.float32), np.zeros(self._size, np.float32), u=u)
-            )
-            gate.u = u if together else gate.u  # where it is beside the others shows only where all are in view
-            gate.looks += weight * reading.looks[slot]
-            gate.attributes += weight * known[slot]
-            gate.weight += weight
-            gate.height, gate.box = max(gate.height, height), (u, v, height)
-        _, v, height, score = reading.boxes[3].tolist()
-        if score >= 0.5:
-            # A sum cut by the image's edge, as the drone flies below it, reads as another.
-            weight = score * height * (1.0 if v > height / 2 else 0.01)
-            self._stage.board += weight * known[3]
-            self._stage.board_weight += weight
-
     def _board(self) -> Floats:
         board: Floats = self._stage.board / max(self._stage.board_weight, 1e-6)
         return board
 
 
-def _fitting(asked: Sequence[str | None], looks: Floats) -> Floats:
-    """Probabilities (4,) that each gate alone has the size, colour and shape asked for, and that none has.
-
-    What is left is the probability that several have them.
-    """
-    known: list[str] = [*COLORS, *SHAPES, *SIZES]
-    columns = [known.index(word) for word in asked if word is not None]
-    fits = looks[:, columns].prod(axis=1)
+def _alone(fits: Floats) -> Floats:
+    """Probabilities (4,) that each gate alone fits, by theirs (3,), and that none does; the rest is that several do."""
     others = np.array([np.delete(1 - fits, place).prod() for place in range(len(fits))])
     return np.array([*(fits * others), (1 - fits).prod()], np.float32)
 
@@ -321,10 +281,10 @@ def _spoken(name: str) -> str:
 
 
 def _place_of(folder: Path | str | None) -> Path:
-    place = Path(folder or str(resources.files("cognitivedrone.models") / "weights" / "reasoner"))
-    if not all((place / name).is_file() for name in (READER_FILE, SELECTOR_FILE, LANGUAGE_FILE)):
+    place = Path(folder or str(resources.files("cognitivedrone.models") / "weights" / "small"))
+    if not all((place / name).is_file() for name in (EYES_FILE, SELECTOR_FILE, LANGUAGE_FILE)):
         raise ModelError(
-            f"{place} lacks {READER_FILE}, {SELECTOR_FILE} or {LANGUAGE_FILE}; reinstall cognitivedrone, or train them"
+            f"{place} lacks {EYES_FILE}, {SELECTOR_FILE} or {LANGUAGE_FILE}; reinstall cognitivedrone, or train them"
             " with `cognitivedrone train --recipe selector`, `language` and `flight`"
         )
     return place

@@ -19,11 +19,11 @@ from cognitivedrone.control.async_reasoner import Question, SimulatedReasoner, a
 from cognitivedrone.control.calls import calling, check_chunk
 from cognitivedrone.control.directive_filter import DirectiveFilter
 from cognitivedrone.errors import CognitiveDroneError, GroundTruthError, MessageError, PolicyError, PolicyRaised
-from cognitivedrone.files import digest_of_file
+from cognitivedrone.files import digest_of_files
 from cognitivedrone.interfaces import Policy, Reasoner, attempt
 from cognitivedrone.pilot import Pilot
 from cognitivedrone.plan import PilotSpec
-from cognitivedrone.policies import POLICIES, make_policy, model_file
+from cognitivedrone.policies import POLICIES, make_policy, policy_files
 from cognitivedrone.reasoners import REASONERS, make_reasoner
 from cognitivedrone.registry import one_line
 from cognitivedrone.remote.messages import OURS, PROTOCOL, Message, read_prompt, read_resets
@@ -48,8 +48,8 @@ class ServedPilot:
                 name = spec.policy if kind == "policy" else spec.reasoner
                 raise GroundTruthError(f"the {kind} {name!r} uses privileged state, which no client sends")
         self.spec, self.policy, self.reasoner = spec, pilot.policy, pilot.reasoner
-        model = model_file(spec.policy)
-        self._model = None if model is None else digest_of_file(model)
+        files = policy_files(spec.policy)
+        self._model = digest_of_files(*files) if files else None
 
     def metadata(self, session: str) -> dict[str, Any]:
         """What a client gets when its session begins."""

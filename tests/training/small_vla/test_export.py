@@ -13,9 +13,10 @@ import torch
 
 from cognitivedrone.envs.track_runner import TrackConfig
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.models.reasoner_file import LANGUAGE_FILE, READER_FILE, LanguageModel, PanelReaderModel
+from cognitivedrone.models.eyes.sight import EYES_FILE, EyesModel
+from cognitivedrone.models.mind import LANGUAGE_FILE, Mind
 from cognitivedrone.models.small_file import Description, SmallModel
-from cognitivedrone.models.small_vla import SmallVLA
+from cognitivedrone.models.small_vla import Eyes, FlightHead, SmallVLA
 from cognitivedrone.models.words.gate_selector import SelectorConfig
 from cognitivedrone.models.words.language import TextEncoder
 from cognitivedrone.models.words.scene_tokens import INPUTS, stacked
@@ -45,17 +46,18 @@ def test_the_file_says_what_the_network_says(exported):
     rng = np.random.default_rng(0)
     images = rng.integers(0, 256, (3, 256, 256, 3), dtype=np.uint8)
     states = rng.standard_normal((3, 5)).astype(np.float32)
-    texts = ["Fly through the red gate", "number 7", "zorblax"]
-    words = TextEncoderModel.load(encoder_of(path)).batch(texts)
     with torch.no_grad():
-        action, choice, gates, present = network(*map(torch.from_numpy, (images, states, words)))
-    out = SmallModel.load(path).run(images, states, texts)
-    assert out.action.shape == (3, 1, 4)
-    assert out.present is not None
-    np.testing.assert_allclose(out.action, action.numpy(), atol=2e-2)  # its weights are in half precision
-    np.testing.assert_allclose(out.choice, choice.numpy(), atol=2e-2)
-    np.testing.assert_allclose(out.present, present.numpy(), atol=2e-2)
-    np.testing.assert_allclose(out.gates[..., :2], gates[..., :2].numpy(), atol=0.5)
+        seen = Eyes(network)(torch.from_numpy(images))
+        options, logits = FlightHead(network)(seen[1], seen[2], torch.from_numpy(states))
+    model = SmallModel.load(path)
+    sight = model.eyes.see(images)
+    flown = model.fly(sight, states)
+    assert flown.options.shape == (3, 4, 1, 4)
+    np.testing.assert_allclose(flown.options, options.numpy(), atol=2e-2)  # its weights are in half precision
+    np.testing.assert_allclose(flown.inclination, logits.numpy(), atol=2e-2)
+    np.testing.assert_allclose(sight.gates[..., :2], seen[0][..., :2].numpy(), atol=0.5)
+    assert sight.readings is not None
+    np.testing.assert_allclose(sight.readings, seen[3].numpy(), atol=2e-2)
 
 
 def test_the_file_tells_its_origin(exported):
@@ -75,31 +77,36 @@ def test_the_file_tells_its_origin(exported):
 
 def test_large_weights_are_stored_in_half_precision(exported):
     network, path, _ = exported
-    model = onnx.load(str(path))
-    halves = {tensor.name.removesuffix(".half"): tensor for tensor in model.graph.initializer}
+    files = [path.with_name(name) for name in (path.name, EYES_FILE, LANGUAGE_FILE)]
+    stored = [tensor for file in files for tensor in onnx.load(str(file)).graph.initializer]
+    halves = {tensor.name.removesuffix(".half"): tensor for tensor in stored}
     for name, value in network.named_parameters():
         large = value.numel() >= 256
         assert (halves[name].data_type == onnx.TensorProto.FLOAT16) == large, name
     full = 4 * sum(parameter.numel() for parameter in network.parameters())
-    assert path.stat().st_size < 0.75 * full + 200_000
+    assert sum(file.stat().st_size for file in files) < 0.75 * full + 300_000
 
 
-def test_reader_and_language_are_written_for_a_reasoner_and_answer_as_the_network(exported):
+def test_eyes_and_language_are_written_beside_it_and_answer_as_the_network(exported):
     network, path, _ = exported
     folder, rng = path.parent, np.random.default_rng(0)
-    assert {each.name for each in folder.glob("*.onnx")} == {path.name, FILE, READER_FILE, LANGUAGE_FILE}
-    model = LanguageModel.load(folder / LANGUAGE_FILE)
-    assert model.attributes.names == PanelReaderModel.load(folder / READER_FILE).attributes.names == ATTRIBUTES
+    assert {each.name for each in folder.glob("*.onnx")} == {path.name, FILE, EYES_FILE, LANGUAGE_FILE}
+    mind = Mind.load(folder / LANGUAGE_FILE)
+    eyes = EyesModel.load(folder / EYES_FILE)
+    assert mind.attributes.names == eyes.attributes.names == ATTRIBUTES
+    assert eyes.classifier
     panels, looks = rng.random((3, len(ATTRIBUTES)), np.float32), rng.random((3, 8), np.float32)
-    encoder = TextEncoderModel.load(folder / FILE)
     for text, board in (("to the cat", np.zeros(len(ATTRIBUTES), np.float32)), ("3 + 4, please", panels[0])):
-        told = (encoder.words(text), board, np.float32(board.any()), panels, looks)
+        told = (mind.encoder.words(text), board, np.float32(board.any()), panels, looks)
         words, seen_board, seen, *gates = (torch.from_numpy(np.asarray(value)[None]) for value in told)
         with torch.no_grad():
             query, absent = network.language(words, seen_board, seen)
-            match = network.language.match(query[:, None], *gates)[0, 0]
-        expected = [*match.tolist(), float(absent[0])]
-        np.testing.assert_allclose(model.logits(text, panels, looks, board), expected, atol=2e-2)
+            match, choice = (
+                how(query[:, None], *gates)[0, 0] for how in (network.language.match, network.language.choice)
+            )
+        found = mind.weigh(text, panels, looks, board)
+        np.testing.assert_allclose(found.match, [*match.tolist(), float(absent[0])], atol=2e-2)
+        np.testing.assert_allclose(found.choice, choice.tolist(), atol=2e-2)
 
 
 def test_the_text_encoder_in_the_file_answers_as_the_network_that_it_was_written_from(language_checkpoint: Path):
@@ -118,7 +125,7 @@ def test_the_text_encoder_in_the_file_answers_as_the_network_that_it_was_written
 
 
 def test_the_runtime_merges_every_normalisation_with_its_convolution(exported, tmp_path):
-    _, path, _ = exported
+    path = exported[1].with_name(EYES_FILE)
     assert "BatchNormalization" in {node.op_type for node in onnx.load(str(path)).graph.node}
     runtime: Any = import_module("onnxruntime")
     options = runtime.SessionOptions()

@@ -169,12 +169,12 @@ def test_the_reader_of_a_model_file_is_a_start(policy_file: Path, reader_checkpo
 
 
 def test_small_is_the_shipped_file(policy_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "weights").mkdir()
-    shutil.copy(policy_file, tmp_path / "weights" / "small.onnx")
+    (tmp_path / "weights" / "small").mkdir(parents=True)
+    shutil.copy(policy_file, tmp_path / "weights" / "small" / "model.onnx")
     monkeypatch.setattr(module.resources, "files", lambda _: tmp_path)
     for given in (None, Path("small")):
         assert read_start(given, "policy").path == read_start(given, "reader").path
-        assert read_start(given, "policy").path == tmp_path / "weights" / "small.onnx"
+        assert read_start(given, "policy").path == tmp_path / "weights" / "small" / "model.onnx"
 
 
 def test_a_model_file_of_an_earlier_version_is_no_start(tmp_path: Path) -> None:
@@ -189,7 +189,7 @@ def test_a_model_file_of_another_kind_is_no_start(tmp_path: Path) -> None:
     reading = tuple(torch.zeros(size).numpy() for size in ((4, 3), (3, 8), (4, 4)))
     names = ("kind/thing", "kind/unknown", "concept/thing:cat")
     folder = tiny_reasoner(tmp_path, names, reading=reading, logits=(0, 0, 0, 0))
-    files = {"gate_selector.onnx": "policy", "panel_reader.onnx": "reader", "language.onnx": "language"}
+    files = {"gate_selector.onnx": "policy", "eyes.onnx": "reader", "language.onnx": "language"}
     for path, part in ((folder / name, part) for name, part in files.items()):
         with pytest.raises(TrainingError, match="is a model of kind") as told:
             read_start(path, part)  # type: ignore[arg-type]

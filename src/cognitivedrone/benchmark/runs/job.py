@@ -15,12 +15,12 @@ from cognitivedrone.benchmark.scores.results import FILES, REQUIRED, RunFacts, S
 from cognitivedrone.control.latency import Delays, parse_delays
 from cognitivedrone.envs.track_runner import TrackConfig
 from cognitivedrone.errors import LabelError, RunError
-from cognitivedrone.files import digest_of_file, digest_of_files
+from cognitivedrone.files import digest_of_files
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.labels import load_pack
 from cognitivedrone.labels.folder import digest_of_labels
 from cognitivedrone.plan import PilotSpec, Scenario
-from cognitivedrone.policies import POLICIES, model_file
+from cognitivedrone.policies import POLICIES, policy_files
 from cognitivedrone.reasoners import NONE, REASONERS, reasoner_files
 from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.tasks import SUITES, Suite
@@ -89,7 +89,7 @@ def resolve(plan: Plan, *, named: bool = True) -> Job:
     suite = suite_of(scenario, plan.episodes)
     delays = parse_delays(plan.latency)
     policy, reasoner = plan.pilot.policy, plan.pilot.reasoner
-    model, answers = (model_file(policy), reasoner_files(reasoner)) if named else (None, ())
+    models, answers = (policy_files(policy), reasoner_files(reasoner)) if named else ((), ())
     autopilot = autopilot_file(plan.vehicle)
     labels = scenario.labels
     resolved = {
@@ -101,7 +101,7 @@ def resolve(plan: Plan, *, named: bool = True) -> Job:
     asked = suite
     if labels is not None or suite.name not in SUITES:  # the shipped pack draws every shipped suite
         suite = _drawn(suite, pack, plan)
-    options = plan.identity(resolved) | {"model": None if model is None else digest_of_file(model)}
+    options = plan.identity(resolved) | {"model": digest_of_files(*models) if models else None}
     own = {"policy_code": own_module(policy, POLICIES), "reasoner_code": own_module(reasoner, REASONERS)}
     optional = {**(own if named else {}), "autopilot": autopilot}
     read = {"reasoner_model": answers, **{key: (file,) for key, file in optional.items() if file is not None}}

@@ -1,17 +1,17 @@
-"""What the picture classifier thinks of the panels of a flight, remembered by the colours of their gates.
+"""What the picture classifier thinks of the panels of a flight, remembered by the colours of their gates, and joined
+with what the panel reader reads.
 
 The classifier costs as much as the rest of a policy, and a panel looks the same from one frame to the next. So each
-panel is looked at again only once it has grown; its answers are averaged. A network that takes opinions (`joined`)
-gets, for each of the three colours of gates, `opinions` (3, T), log-probabilities of the things of its attribute
-schema, and `paper` (3,): how surely the picture is a drawing on paper, 1, or fills its panel as photographs do, 0; -1
-where there is no opinion.
+panel is looked at again only once it has grown; its answers are averaged. Its log-probabilities of things and the
+reader's, which knows drawings, are added. A picture without paper around it fills its panel as photographs do; for
+those the reader, which was trained on drawings, counts for half. These weights are set, not trained.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,13 +20,14 @@ from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.eyes.picture_classifier import CLASSES, crop_of, paper_share
 from cognitivedrone.types import COLORS, Image
 
-NONE = -1.0
-"""The `paper` of a gate without opinion."""
 _FLOOR = 0.005  # added to the classifier's probabilities, and that of a thing that it cannot name
 _RAREST = 1e-6  # the same for one of its classes
 _PAPER = (0.05, 0.2)  # share of paper up to which a picture fills its panel, and from which it is a drawing on paper
 _SMALLEST_PX = 16.0  # lower panels are not looked at
 _GROWN = 1.15  # since it was looked at last
+_FILLED = 0.5  # weight of the reader for a picture that fills its panel
+_LEAST = np.float32(1e-5)  # probability of a reading
+_NO_KIND = ("kind/thing", "kind/unknown")
 
 Floats = NDArray[np.float32]
 
@@ -54,10 +55,11 @@ class _Panel:
     """Height when it was looked at last; 0 if never."""
     paper: float = 0.0
     answers: int = 0
+    """At least 1 from when it is remembered."""
 
 
 class Opinions:
-    """The opinions of one flight. `arrays` are the inputs of a network; `look` asks about the panels that it found."""
+    """The opinions of one flight: `look` asks about the panels of a frame, `joined` makes use of what was answered."""
 
     def __init__(self, classifier: Classifier, attributes: AttributeSchema) -> None:
         self._classifier, self._attributes = classifier, attributes
@@ -65,6 +67,10 @@ class Opinions:
         known = [(places[name], column) for column, name in enumerate(classifier.names) if name in places]
         self._into = np.array([row for row, _ in known], np.intp)
         self._from = np.array([column for _, column in known], np.intp)
+        self._things = list(attributes.things)
+        kinds = attributes.groups["kind"]
+        self._others = [at for at in range(kinds.start, kinds.stop) if attributes.names[at] not in _NO_KIND]
+        self._thing = attributes.names.index("kind/thing")
         self._panels: dict[int, _Panel] = {}
 
     def fork(self) -> Opinions:
@@ -75,25 +81,40 @@ class Opinions:
         """Forget all panels."""
         self._panels.clear()
 
-    def arrays(self) -> dict[str, Floats]:
-        """`opinions` (3, T) and `paper` (3,)."""
-        opinions = np.zeros((len(COLORS), len(self._attributes.things)), np.float32)
-        paper = np.full(len(COLORS), NONE, np.float32)
-        for color, panel in self._panels.items():
-            if panel.answers:
-                opinions[color], paper[color] = panel.opinion / panel.answers, panel.paper / panel.answers
-        return {"opinions": opinions, "paper": paper}
+    @property
+    def asked(self) -> dict[int, float]:
+        """The panels that there is an opinion on, by the colours of their gates: how surely the picture is a drawing on
+        paper, 1, or fills its panel, 0.
+        """
+        return {color: panel.paper / panel.answers for color, panel in self._panels.items()}
+
+    def joined(self, readings: Floats, looks: Floats) -> Floats:
+        """(n, F): readings (n, F), probabilities, of panels at gates that look like `looks` (n, 8), with the opinions
+        on them. A photograph that is recognised is one of a thing, unless the reader is sure of another kind.
+        """
+        found = readings.copy()
+        for row, color in enumerate(looks[:, : len(COLORS)].argmax(axis=1).tolist()):
+            panel = self._panels.get(color)
+            if panel is None:
+                continue
+            paper = np.float32(panel.paper / panel.answers)
+            shares = readings[row, self._things]
+            mass = shares.sum()
+            told = (_FILLED + (1 - _FILLED) * paper) * np.log(shares / max(mass, _LEAST) + _LEAST)
+            together = _softmax(told + (panel.opinion / panel.answers).astype(np.float32))
+            sure = (1 - paper) * together.max() * (1 - readings[row, self._others].max(initial=0.0))
+            found[row] *= 1 - sure
+            found[row, self._things] = (mass * (1 - sure) + sure) * together
+            found[row, self._thing] += sure
+        return found
 
     def classes(self, colors: Sequence[int]) -> Floats:
         """(n, CLASSES): what the panels of n gates show, as probabilities; all alike where there is no opinion."""
         told = np.zeros((len(colors), CLASSES))
         for row, color in enumerate(colors):
-            panel = self._panels.get(color)
-            if panel is not None and panel.answers:
+            if (panel := self._panels.get(color)) is not None:
                 told[row] = panel.classes / panel.answers
-        shares = np.exp(told - told.max(axis=1, keepdims=True))
-        found: Floats = (shares / shares.sum(axis=1, keepdims=True)).astype(np.float32)
-        return found
+        return _softmax(told).astype(np.float32)
 
     def look(self, image: Image, boxes: Floats, colors: Sequence[int], most: int = len(COLORS)) -> bool:
         """Ask about panels (n, 3) of a frame (256, 256, 3): centre and height, pixels, and their gates' colours.
@@ -131,3 +152,9 @@ def on_paper(crop: NDArray[np.uint8]) -> float:
     """Whether a picture is a drawing on paper, 1, or fills its panel, 0."""
     low, high = _PAPER
     return min(1.0, max(0.0, (paper_share(crop) - low) / (high - low)))
+
+
+def _softmax(logits: NDArray[Any]) -> NDArray[Any]:
+    shares = np.exp(logits - logits.max(axis=-1, keepdims=True))
+    found: NDArray[Any] = shares / shares.sum(axis=-1, keepdims=True)
+    return found

@@ -1,4 +1,4 @@
-"""The panel reader: from crops of panels and boards to attribute values, and, with a finder, from a whole frame.
+"""The panel reader: from crops of panels and boards to attribute values.
 
 Its answer is nearly plain text, probabilities of named attribute values (`attributes.AttributeSchema`): all that
 policy and reasoner know of a panel. So what a new picture or concept is can be taught here alone.
@@ -16,8 +16,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.models.attributes import AttributeSchema
-from cognitivedrone.models.eyes.finder import SLOTS, Block, Finder, crops, look_probabilities, panel_boxes
-from cognitivedrone.models.eyes.joined import Joined
+from cognitivedrone.models.eyes.finder import Block
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,34 +79,6 @@ class Probabilities(nn.Module):
         """From (..., F) to (..., F)."""
         shares = torch.cat([logits[..., span].float().softmax(-1) for span in self._spans], dim=-1)
         return shares * (shares[..., self._kinds] @ self.applies)
-
-
-class PanelReader(nn.Module):
-    """Panel reader of whole frames: a finder of gates, panels and board, and a network that reads each panel."""
-
-    def __init__(self, finder: Finder, reader: Reader, schema: AttributeSchema) -> None:
-        super().__init__()
-        self.finder, self.reader = finder, reader
-        self.probabilities, self.joined = Probabilities(schema), Joined(schema)
-
-    def forward(self, image: Tensor, opinions: Tensor, paper: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """From images uint8 (B, 256, 256, 3), and what the picture classifier thinks (`opinions`), to attributes.
-
-        Returns probabilities of attribute values (B, 4, F) of three panels and the board; probabilities (B, 3, 8) of
-        the gates' three colours, three shapes and two sizes; and (B, 4, 4) of gates and board: centre u, v and height
-        of the panel in pixels, and the detection score, 0 to 1, of the gate or board. Gates are unordered.
-        """
-        pixels = image.permute(0, 3, 1, 2).float() / 255
-        scene = self.finder.look(pixels)
-        slots, scores, board = self.finder.find(scene)
-        seen = self.finder.attend(scene, slots)
-        boxes = panel_boxes(slots, seen)
-        logits = self.reader(crops(pixels, boxes, self.reader.config.crop_size))
-        read = self.probabilities(logits).view(image.shape[0], SLOTS + 1, -1)
-        looks = look_probabilities(seen.looks)
-        panels = self.joined(read[:, :SLOTS], looks, opinions, paper)
-        found = torch.cat([boxes, torch.cat([scores, board[:, None]], dim=1)[..., None]], dim=-1)
-        return torch.cat([panels, read[:, SLOTS:]], dim=1), looks, found
 
 
 def panel_encoder(channels: tuple[int, int, int, int], crop_size: int, embedding: int) -> nn.Sequential:

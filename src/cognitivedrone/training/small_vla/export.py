@@ -1,4 +1,4 @@
-"""From the checkpoint of a small VLA to its model file: a self-describing ONNX graph with half-precision weights."""
+"""From the checkpoint of a small VLA to its model files: self-describing ONNX graphs with half-precision weights."""
 
 from __future__ import annotations
 
@@ -18,18 +18,19 @@ from torch import Tensor
 from cognitivedrone import checkout
 from cognitivedrone.files import read_regular, replace_file, replacing
 from cognitivedrone.models.attributes import AttributeSchema
+from cognitivedrone.models.eyes.finder import SLOTS
 from cognitivedrone.models.eyes.panel_reader import ReaderConfig
+from cognitivedrone.models.eyes.sight import FEATURES
 from cognitivedrone.models.onnx_file import LARGEST_BYTES, Provenance
-from cognitivedrone.models.small_file import ActionStatistics, Description, SmallModel, describe
-from cognitivedrone.models.small_vla import STATE, SmallVLA, SmallVLAConfig
+from cognitivedrone.models.small_file import STATE, ActionStatistics, Description, SmallModel, describe
+from cognitivedrone.models.small_vla import FlightHead, SmallVLA, SmallVLAConfig
 from cognitivedrone.models.words.concepts import CONCEPTS_FILE
 from cognitivedrone.models.words.gate_selector import SelectorConfig
-from cognitivedrone.models.words.language import PARTS, LanguageConfig
-from cognitivedrone.models.words.scene_tokens import LENGTHS
+from cognitivedrone.models.words.language import LanguageConfig
 from cognitivedrone.models.words.text_encoder import FILE, packaged_encoder
 from cognitivedrone.policies.expert import ExpertConfig
 from cognitivedrone.training.small_vla.concepts import write_concepts
-from cognitivedrone.training.small_vla.graph import opinions_example, write_encoder, write_onnx, write_reasoner_parts
+from cognitivedrone.training.small_vla.graph import write_encoder, write_eyes, write_language, write_onnx
 from cognitivedrone.training.small_vla.language import LanguageLoss, LanguageNetwork
 from cognitivedrone.training.small_vla.sampling import StreamRecipe
 from cognitivedrone.training.small_vla.stream import training_batches
@@ -65,19 +66,15 @@ def export(
     encoder: Path | None = None,
     scores: Mapping[str, Any] | None = None,
 ) -> Description:
-    """Write the network of a checkpoint as a self-describing ONNX file; returns its description.
+    """Write the network of a checkpoint as self-describing ONNX files, its head to `out`; returns their description.
 
     `data` is the training data set, if there was one; the text encoder in `encoder` is copied beside the file, if it is
     not the packaged one; `scores` go into the file as they are. Raises `TrainingError` for a bad checkpoint.
     """
     network, start = load_trained(checkpoint)
     action = action_statistics(network, stream_of(start.facts), encoder, data)
-    out.parent.mkdir(parents=True, exist_ok=True)
     copy_encoder(encoder, out.parent)
-    provenance = provenance_of(start.facts, scores)
-    classifier = network.language is not None
-    write_reasoner_parts(network, start.facts["encoder"], provenance, out.parent, classifier=classifier)
-    return write_policy(network, start.facts["encoder"], action, provenance, out, classifier=classifier)
+    return write_policy(network, start.facts["encoder"], action, provenance_of(start.facts, scores), out)
 
 
 def copy_encoder(encoder: Path | None, folder: Path) -> None:
@@ -91,9 +88,16 @@ def copy_encoder(encoder: Path | None, folder: Path) -> None:
 
 
 def write_policy(
-    network: SmallVLA, encoder: str, action: ActionStatistics, provenance: Provenance, out: Path, *, classifier: bool
+    network: SmallVLA,
+    encoder: str,
+    action: ActionStatistics,
+    provenance: Provenance,
+    out: Path,
+    *,
+    classifier: bool = True,
 ) -> Description:
-    """Write the file of a policy that was trained with the text encoder of a digest; returns its description.
+    """Write the files of a policy that was trained with the text encoder of a digest: eyes, language, and its head, to
+    `out`; returns its description.
 
     `classifier` says whether it shall ask the picture classifier.
     """
@@ -105,13 +109,21 @@ def write_policy(
         action=action,
         network=network.config.facts(),
         attributes=network.schema.names,
-        classifier=classifier,
         provenance=provenance,
     )
+    write_eyes(network, provenance, out.parent, classifier=classifier)
+    if network.language is not None:
+        write_language(network.language, network.schema, encoder, provenance, out.parent)
+    width = network.config.backbone[2]
+    example = {
+        "slots": torch.zeros(2, SLOTS, width + FEATURES),
+        "whole": torch.zeros(2, width),
+        "state": torch.zeros(2, STATE),
+    }
     with replacing(out) as beside:
-        write_graph(network, beside, classifier=classifier)
+        write_onnx(FlightHead(network), example, ("options", "inclination"), beside)
         describe(beside, description)
-        SmallModel.load(beside)  # a file that cannot be loaded never replaces the old one
+    SmallModel.load(out)
     return description
 
 
@@ -142,21 +154,6 @@ def stream_of(facts: Mapping[str, Any]) -> StreamRecipe:
         },
         expert=ExpertConfig(**recorded["expert"]),
     )
-
-
-def write_graph(network: SmallVLA, path: Path, *, classifier: bool) -> None:
-    """The policy's network as an ONNX graph, with inputs for the picture classifier's opinions if it shall ask it."""
-    example = {"image": torch.zeros(2, 256, 256, 3, dtype=torch.uint8), "state": torch.zeros(2, STATE)}
-    outputs: tuple[str, ...] = ("action", "choice", "gates")
-    if network.language is None:
-        write_onnx(network, example, outputs, path)
-        return
-    example["words"] = torch.ones(2, 20, network.config.language.size)
-    length = torch.export.Dim("length", min=1, max=sum(LENGTHS[:PARTS]))
-    outputs += ("present", "panels")
-    if classifier:
-        example |= opinions_example(network.schema)
-    write_onnx(network, example, outputs if classifier else outputs[:-1], path, second={"words": length})
 
 
 def action_statistics(

@@ -1,5 +1,5 @@
 """Networks as ONNX graphs with small weights; files of the text encoder that policies share, and of the parts of a
-policy that a reasoner uses by themselves.
+policy: its eyes, its language, and the head that flies.
 """
 
 from __future__ import annotations
@@ -20,22 +20,13 @@ from torch import Tensor, nn
 from cognitivedrone.files import replacing
 from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.eyes.finder import LOOKS, SLOTS
-from cognitivedrone.models.eyes.opinions import NONE
-from cognitivedrone.models.eyes.panel_reader import PanelReader
+from cognitivedrone.models.eyes.sight import EYES, EYES_FILE, EyesModel
+from cognitivedrone.models.mind import LANGUAGE, LANGUAGE_FILE, Mind
 from cognitivedrone.models.onnx_file import Provenance, write_table
-from cognitivedrone.models.reasoner_file import (
-    LANGUAGE,
-    LANGUAGE_FILE,
-    READER_FILE,
-    READER_KIND,
-    LanguageModel,
-    PanelReaderModel,
-)
-from cognitivedrone.models.small_vla import SmallVLA
+from cognitivedrone.models.small_vla import Eyes, SmallVLA
 from cognitivedrone.models.words.language import PARTS, Language, TextEncoder
 from cognitivedrone.models.words.scene_tokens import INPUTS, LENGTHS
 from cognitivedrone.models.words.text_encoder import FILE, TEXT_ENCODER, TextEncoderModel
-from cognitivedrone.types import COLORS
 
 _HALVED_FROM = 256  # elements; smaller tensors are biases, scales and shapes
 _ROUNDED_FROM = 4096  # elements; smaller matrices stay as they are
@@ -158,34 +149,20 @@ def write_encoder(encoder: TextEncoder, pieces: list[str], provenance: Provenanc
     return digest.hexdigest()
 
 
-def opinions_example(schema: AttributeSchema) -> dict[str, Tensor]:
-    """Inputs of two scenes: what the picture classifier thinks of their panels."""
-    return {"opinions": torch.zeros(2, len(COLORS), len(schema.things)), "paper": torch.full((2, len(COLORS)), NONE)}
-
-
-def write_reasoner_parts(
-    network: SmallVLA, encoder: str, provenance: Provenance, folder: Path, *, classifier: bool
-) -> None:
-    """Write panel reader and language of a policy, for a reasoner, to `folder`; nothing of a policy without them.
-
-    `classifier` says whether the reasoner shall ask the picture classifier.
-    """
-    if network.reader is None or network.language is None:
-        return
-    image = {"image": torch.zeros(2, 256, 256, 3, dtype=torch.uint8)}
-    example = image | opinions_example(network.schema)
-    sizes = {"facets": list(network.schema.names), "network": network.reader.config.facts()}
-    table = {**sizes, "classifier": classifier}
-    model = PanelReader(network.finder, network.reader, network.schema)
-    outputs, path = ("readings", "looks", "boxes"), folder / READER_FILE
-    write_model(model, example, outputs, path, READER_KIND, table, provenance, PanelReaderModel.load)
-    write_language(network.language, network.schema, encoder, provenance, folder)
+def write_eyes(network: SmallVLA, provenance: Provenance, folder: Path, *, classifier: bool) -> None:
+    """Write the eyes of a policy to `folder`; `classifier` says whether the picture classifier shall be asked, too."""
+    reads = network.reader is not None
+    outputs = ("gates", "slots", "whole", *(("readings", "boxes") if reads else ()))
+    table: dict[str, Any] = {"facets": list(network.schema.names) if reads else [], "width": network.config.backbone[2]}
+    example = {"image": torch.zeros(2, 256, 256, 3, dtype=torch.uint8)}
+    table["classifier"] = classifier and reads
+    write_model(Eyes(network), example, outputs, folder / EYES_FILE, EYES, table, provenance, EyesModel.load)
 
 
 def write_language(
     language: Language, schema: AttributeSchema, encoder: str, provenance: Provenance, folder: Path
 ) -> None:
-    """Write a language that was trained with the text encoder of a digest, for a reasoner, to `folder`."""
+    """Write a language that was trained with the text encoder of a digest to `folder`."""
     size = len(schema.names)
     example = {
         "words": torch.ones(2, 20, language.prototypes.shape[1]),
@@ -196,20 +173,23 @@ def write_language(
     }
     length = torch.export.Dim("length", min=1, max=sum(LENGTHS[:PARTS]))
     table = {"facets": list(schema.names), "encoder": encoder}
-    write_model(_Answers(language), example, ("logits",), folder / LANGUAGE_FILE, LANGUAGE, table, provenance,
-                LanguageModel.load, second={"words": length})  # fmt: skip
+    write_model(_Answers(language), example, ("match", "choice"), folder / LANGUAGE_FILE, LANGUAGE, table, provenance,
+                Mind.load, second={"words": length})  # fmt: skip
 
 
 class _Answers(nn.Module):
-    """Logits (B, 4) of three gates and of none, from words (B, L, W) and a scene's readings."""
+    """`Language.match` with none (B, 4), and `choice` (B, 3), from words (B, L, W) and a scene's readings."""
 
     def __init__(self, language: Language) -> None:
         super().__init__()
         self.language = language
 
-    def forward(self, words: Tensor, panels: Tensor, looks: Tensor, board: Tensor, seen: Tensor) -> Tensor:
+    def forward(
+        self, words: Tensor, panels: Tensor, looks: Tensor, board: Tensor, seen: Tensor
+    ) -> tuple[Tensor, Tensor]:
         query, absent = self.language(words, board, seen)
-        return torch.cat([self.language.match(query[:, None], panels, looks)[:, 0], absent[:, None]], dim=1)
+        match = self.language.match(query[:, None], panels, looks)[:, 0]
+        return torch.cat([match, absent[:, None]], dim=1), self.language.choice(query[:, None], panels, looks)[:, 0]
 
 
 def write_model(

@@ -16,8 +16,8 @@ from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.errors import ModelError, TrainingError
 from cognitivedrone.models.attributes import AttributeSchema
-from cognitivedrone.models.reasoner_file import SELECTOR_FILE, GateSelectorModel
 from cognitivedrone.models.small_vla import SmallVLA
+from cognitivedrone.models.words.selector_file import SELECTOR_FILE, GateSelectorModel
 from cognitivedrone.models.words.text_encoder import TextEncoderModel, encoder_of, packed
 from cognitivedrone.terminal import console
 from cognitivedrone.training.language.problems import Problem, Problems
@@ -221,11 +221,10 @@ class TeachTraining(TrainingTask):
         return {name: float(np.mean([float(row[name]) for row in rows])) for name in rows[0]}
 
     def export(self, checkpoint: Path, folder: Path) -> None:
-        """The files of policy, panel reader and gate selector."""
+        """The files of policy and gate selector."""
         from cognitivedrone.models.small_file import statistics_of
         from cognitivedrone.training.reasoner.selector_files import write_taught_selector
         from cognitivedrone.training.small_vla.export import copy_encoder, provenance_of, write_policy
-        from cognitivedrone.training.small_vla.graph import write_reasoner_parts
         from cognitivedrone.training.trainer.checkpoint import read_checkpoint, restore
 
         tensors, facts = read_checkpoint(checkpoint)
@@ -238,7 +237,6 @@ class TeachTraining(TrainingTask):
         copy_encoder(encoder_of(self.policy.path), folder)
         # The picture classifier is not asked: the reader knows the user's own photographs now.
         write_policy(policy, encoder, action, provenance, folder / self.recipe.model_file, classifier=False)
-        write_reasoner_parts(policy, encoder, provenance, folder, classifier=False)
         write_taught_selector(self.selector, self.names, self.lesson.notes(), folder)
 
 

@@ -14,8 +14,10 @@ from torch import Tensor, nn
 from cognitivedrone.errors import ModelError, TrainingError
 from cognitivedrone.files import read_regular
 from cognitivedrone.files.schema import check_form
+from cognitivedrone.models.eyes.sight import EYES_FILE
+from cognitivedrone.models.mind import LANGUAGE_FILE
 from cognitivedrone.models.onnx_file import LARGEST_BYTES
-from cognitivedrone.models.small_file import FORMER, KIND
+from cognitivedrone.models.small_file import FORMER, KIND, MODEL_FILE
 from cognitivedrone.models.words.text_encoder import TextEncoderModel, encoder_of
 from cognitivedrone.training.trainer.checkpoint import origin_of, read_checkpoint
 
@@ -23,7 +25,6 @@ Part = Literal["policy", "language", "reader", "selector"]
 _HAS: dict[Part, tuple[Part, ...]] = {"policy": ("language", "reader"), "language": ("reader",)}
 SHIPPED = "small"
 """The name of the packaged weights, as in `--start small`."""
-_FILE = "small.onnx"
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,7 @@ def read_start(path: Path | None, part: Part) -> StartingPoint:
     A policy has language and reader, and language has a reader. Raises `TrainingError`.
     """
     if path is None or str(path) == SHIPPED:
-        path = Path(str(resources.files("cognitivedrone.models") / "weights" / _FILE))
+        path = Path(str(resources.files("cognitivedrone.models") / "weights" / SHIPPED / MODEL_FILE))
     if path.suffix == ".onnx":
         facts = _facts_of_model(path)
         return StartingPoint(path, "policy", f"from {path.name}, {facts['origin']}", facts)
@@ -134,15 +135,16 @@ def _weights(path: Path) -> dict[str, Tensor]:
 
 
 def _weights_of_model(path: Path) -> dict[str, Tensor]:
-    """The weights in an ONNX file, in single precision."""
+    """The weights in the ONNX files of a policy, in single precision."""
     import onnx
 
-    model = onnx.load_model_from_string(read_regular(path, LARGEST_BYTES))
     found = {}
-    for tensor in model.graph.initializer:
-        value = torch.from_numpy(onnx.numpy_helper.to_array(tensor).copy())
-        name = tensor.name.removesuffix(".half")
-        found[name] = value.float() if value.is_floating_point() else value
+    for file in (path, path.with_name(EYES_FILE), path.with_name(LANGUAGE_FILE)):
+        model = onnx.load_model_from_string(read_regular(file, LARGEST_BYTES)) if file.is_file() else None
+        for tensor in () if model is None else model.graph.initializer:
+            value = torch.from_numpy(onnx.numpy_helper.to_array(tensor).copy())
+            name = tensor.name.removesuffix(".half")
+            found[name] = value.float() if value.is_floating_point() else value
     return found
 
 
