@@ -2,8 +2,10 @@
 
 Run: python benchmarks/say.py [--only TEXT] [--kind KIND] [--seeds 1] [--out results/say.json]
 
-Flies every sentence of `spoken_sentences.csv` with the packaged pilot, as `fly` does, in simulated time, and prints the
-share that ended as expected and what went wrong. The columns: `said`, what is typed; `then`, what is typed 1.5 s into
+Flies every sentence of `spoken_sentences.csv` with the packaged pilot, as `fly` does, in simulated time, and prints how
+many ended as expected, how many that should have been flown were declined or refused with a reason, and what went
+wrong. The kinds from `pilots` on were written by habits other than those that the program was made with, before any of
+them was flown. The columns: `said`, what is typed; `then`, what is typed 1.5 s into
 the flight, if anything; `outcome`, one of
 
     fly       through the gate whose panel shows one of `shows`, or, where that is empty, that looks like `gate`
@@ -109,21 +111,24 @@ def _outcome(row: dict[str, str], summary: Summary) -> str:
 def main(config: Config) -> None:
     with SENTENCES.open(encoding="utf-8", newline="") as file:
         rows = [row for row in csv.DictReader(file) if config.only in row["said"] and config.kind in ("", row["kind"])]
-    good: Counter[str] = Counter()
-    total: Counter[str] = Counter()
+    good, declined, total = Counter[str](), Counter[str](), Counter[str]()
     for row in rows:
         for seed in range(config.seed, config.seed + config.seeds):
             outcome, words = happened(row, seed)
             ok = outcome == row["outcome"]
             total[row["kind"]] += 1
             good[row["kind"]] += ok
+            declined[row["kind"]] += not ok and outcome in ("decline", "refuse")
             if not ok or config.verbose:
                 said = " then ".join(repr(row[name]) for name in ("said", "then") if row[name])
                 print(f"{'ok' if ok else 'WRONG':6s}{said}: {outcome}, expected {row['outcome']}: {words}", flush=True)
     for kind, count in total.items():
-        print(f"{kind:12s} {good[kind]:3d} of {count}")
-    print(f"all          {good.total():3d} of {total.total()}, {good.total() / max(1, total.total()):.0%}")
-    figures: list[dict[str, Any]] = [{"kind": kind, "right": good[kind], "of": count} for kind, count in total.items()]
+        print(f"{kind:12s} {good[kind]:3d} of {count:3d}, declined {declined[kind]}")
+    shares = f"{good.total():3d} of {total.total():3d}, declined {declined.total()}"
+    print(f"all          {shares}, {good.total() / max(1, total.total()):.0%}")
+    figures: list[dict[str, Any]] = [
+        {"kind": kind, "right": good[kind], "declined": declined[kind], "of": count} for kind, count in total.items()
+    ]
     keep(config.out, "Sentences that end as expected", figures, seed=config.seed)
 
 

@@ -135,7 +135,6 @@ if wanted speed && [[ $size == full ]]; then
 fi
 
 if [[ ${KEEP:-yes} == yes ]]; then
-  "$python" "$here/scripts/keep_results.py" "$out" "$results"
-  cp "$results"/*.json "$here/results/"
+  "$python" "$here/scripts/keep_results.py" "$out" "$results" "$here/results"
   "$python" "$here/scripts/render_tables.py"
 fi

@@ -1,15 +1,19 @@
 """Files of results from the folders of runs: what `runs/reproduce.sh` flew becomes RESULTS/*.json.
 
-Run: python scripts/keep_results.py OUT RESULTS
+Run: python scripts/keep_results.py OUT RESULTS [PAGES]
 
 Each folder OUT/scores/PILOT with its runs becomes the submission RESULTS/PILOT.json, OUT/reason/* becomes
 RESULTS/reasoner_alone.json, and OUT/audit/PILOT becomes RESULTS/audit_PILOT.json; RESULTS/bench_time.json has the wall
 times of runs, RESULTS/training_times.json those of the training runs in OUT. Partial runs are left out, and named.
+
+With PAGES, the folder of the files that pages show, they are copied there. Runs of other weights than the new ones stay
+there as PILOT_before.json: pages show them, marked, where there is no newer run.
 """
 
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from pathlib import Path
 
@@ -30,7 +34,10 @@ WHOLE = 300
 """Their tasks."""
 
 
-def main(out: Path, results: Path) -> None:
+WEIGHTS = ("model", "reasoner_model")
+
+
+def main(out: Path, results: Path, pages: Path | None = None) -> None:
     """Write the files."""
     for folder in sorted((out / "scores").glob("*")):
         keep_pilot(sorted(path.parent for path in folder.glob(f"*/{RESULTS_FILE}")), results / f"{folder.name}.json")
@@ -39,6 +46,17 @@ def main(out: Path, results: Path) -> None:
     keep_reasoner(sorted((out / "reason").glob(f"*/{SUMMARY_FILE}")), results / "reasoner_alone.json")
     for path in sorted((out / "audit").glob(f"*/{AUDIT_FILE}")):
         keep_audit(path, results / f"audit_{path.parent.name}.json")
+    for path in sorted(results.glob("*.json")) if pages else []:
+        shown = pages / path.name
+        if shown.is_file() and weights_of(shown) - weights_of(path):
+            shown.replace(pages / f"{path.stem}_before.json")
+        shutil.copyfile(path, shown)
+
+
+def weights_of(path: Path) -> set[tuple[str | None, ...]]:
+    """The weights that a submission's runs flew with, by their hashes; none of any other file."""
+    runs = json.loads(path.read_text(encoding="utf-8")).get("runs", [])
+    return {tuple(each["run"]["options"].get(name) for name in WEIGHTS) for each in runs}
 
 
 def keep_pilot(folders: list[Path], path: Path) -> None:
@@ -143,6 +161,6 @@ def write(path: Path, made: Measurement) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 3 or sys.argv[1].startswith("-"):
+    if len(sys.argv) not in (3, 4) or sys.argv[1].startswith("-"):
         sys.exit(__doc__)
-    main(Path(sys.argv[1]), Path(sys.argv[2]))
+    main(*map(Path, sys.argv[1:]))

@@ -21,8 +21,8 @@ from cognitivedrone.files import digest_of_file
 
 WEIGHTS = (
     "reader/reader.safetensors", "selector/gate_selector.onnx", "selector/picture_classifier.onnx",
-    "language/text_encoder.onnx", "small/model.onnx", "flight/model.onnx", "flight/panel_reader.onnx",
-    "flight/language.onnx", "places/model.onnx", "places/panel_reader.onnx", "places/language.onnx", "race/model.onnx",
+    "language/text_encoder.onnx", "small/model.onnx", "flight/model.onnx", "flight/eyes.onnx",
+    "flight/language.onnx", "places/model.onnx", "places/eyes.onnx", "places/language.onnx", "race/model.onnx",
     "obstacles/obstacles.onnx",
 )  # fmt: skip
 SUITE = "open-v1:test"

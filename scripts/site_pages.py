@@ -45,7 +45,13 @@ PYTHON = {
     "pilots": ("policies", "reasoners", "pilot", "plan"),
     "control": ("control.loop", "control.safety", "control.latency", "vehicles", "vehicles.contract"),
     "simulator": ("sim.simulator", "sim.airframe", "sim.autopilot", "frames"),
-    "training": ("training.trainer.training_task", "models.small_file", "models.eyes.panel_reader", "models.small_vla"),
+    "training": (
+        "training.trainer.training_task",
+        "models.small_file",
+        "models.eyes.sight",
+        "models.mind",
+        "models.small_vla",
+    ),
 }
 """Pages of the Python reference and the modules of the package on each."""
 _FENCE = re.compile(r"(^ *```.*?^ *```)", re.MULTILINE | re.DOTALL)

@@ -191,6 +191,20 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+def test_runs_of_other_weights_stay_beside_the_new_ones(out: Path, tmp_path: Path) -> None:
+    pages = tmp_path / "pages"
+    pages.mkdir()
+    for _ in range(2):
+        keep_results.main(out, tmp_path / "results", pages)
+        assert not (pages / "small_before.json").exists()
+    former = json.loads((pages / "small.json").read_text())
+    former["runs"][0]["run"]["options"]["model"] = "of before"
+    (pages / "small.json").write_text(json.dumps(former))
+    keep_results.main(out, tmp_path / "results", pages)
+    assert json.loads((pages / "small_before.json").read_text()) == former
+    assert (pages / "small.json").read_bytes() == (tmp_path / "results" / "small.json").read_bytes()
+
+
 def test_runs_become_files_and_tables(out: Path, tmp_path: Path, capsys) -> None:
     keep_results.main(out, tmp_path / "results")
     output = capsys.readouterr().out
