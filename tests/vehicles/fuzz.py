@@ -9,8 +9,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as m
 
-from cognitivedrone.vehicles.mavlink.client.link.connection import MavlinkConnection
-from cognitivedrone.vehicles.mavlink.client.link.traffic import COMMANDING, MISSION_ITEMS
+from cognitivedrone.vehicles.mavlink.client.connection import MavlinkConnection
+from cognitivedrone.vehicles.mavlink.client.traffic import COMMANDING, MISSION_ITEMS
 
 VEHICLE, STRANGER = 1, 2
 """Where a packet comes from."""

@@ -22,6 +22,7 @@ from cognitivedrone.doctor.subject import (
     Answer,
     Finding,
     ImageChange,
+    LabelledView,
     Numbers,
     Question,
     StateChange,
@@ -36,7 +37,6 @@ from cognitivedrone.doctor.subject import (
     with_image,
     with_images,
 )
-from cognitivedrone.doctor.views import LabelledView
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.types import CONTROL_HZ
 

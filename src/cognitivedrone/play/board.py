@@ -23,8 +23,8 @@ from cognitivedrone.frames import quaternion_from_yaw, rotate_yaw
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.models.small_file import Output
 from cognitivedrone.pilot import Pilot
-from cognitivedrone.play.channels import Channels
 from cognitivedrone.play.chase import ChaseProcess, jpeg
+from cognitivedrone.play.server import Channels
 from cognitivedrone.policies.small import Small
 from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.sim.airframe import RACER, Airframe

@@ -17,9 +17,8 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from cognitivedrone.benchmark.scores.codec import decode, dumps, encode, loads
-from cognitivedrone.benchmark.scores.possible import impossible
 from cognitivedrone.benchmark.scores.results import RunFacts, write_whole
-from cognitivedrone.benchmark.scores.run_types import Rollout, Trace
+from cognitivedrone.benchmark.scores.run_types import Rollout, Trace, impossible
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import (
     append,

@@ -1,6 +1,5 @@
 """Missions: one sentence for a whole flight, read into sub-goals, one for each stage. Pure text."""
 
-from cognitivedrone.tasks.missions.corrections import rejects
 from cognitivedrone.tasks.missions.goals import (
     asked_of,
     changed,
@@ -11,6 +10,7 @@ from cognitivedrone.tasks.missions.goals import (
     looks_of,
     pad_directive,
     parts_of,
+    rejects,
     shuts,
     things_of,
     told,

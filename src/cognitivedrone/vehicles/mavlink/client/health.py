@@ -12,8 +12,8 @@ import numpy as np
 from cognitivedrone.control.safety import Decision, Order, SafetyConfig, order
 from cognitivedrone.control.safety.health import VELOCITY_MODES, Health
 from cognitivedrone.types import Action, FloatArray
-from cognitivedrone.vehicles.mavlink.client.link.heartbeats import Grounded
-from cognitivedrone.vehicles.mavlink.client.link.traffic import Traffic, impostor_of
+from cognitivedrone.vehicles.mavlink.client.heartbeats import Grounded
+from cognitivedrone.vehicles.mavlink.client.traffic import Traffic, impostor_of
 from cognitivedrone.vehicles.mavlink.telemetry import POSITION_IGNORED, Telemetry, stick_moved
 
 BLIND_M = 1.0

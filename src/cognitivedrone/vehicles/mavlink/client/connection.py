@@ -14,8 +14,8 @@ from typing import Any, TypeVar
 
 from cognitivedrone.errors import LinkError
 from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS, REAL32, AutopilotKind
-from cognitivedrone.vehicles.mavlink.client.link.heartbeats import Chain, Flown, Heartbeats, Shown, heard
-from cognitivedrone.vehicles.mavlink.client.link.traffic import (
+from cognitivedrone.vehicles.mavlink.client.heartbeats import Chain, Flown, Heartbeats, Shown, heard
+from cognitivedrone.vehicles.mavlink.client.traffic import (
     OUR_COMPONENT,
     OUR_SYSTEM,
     MessageDecoder,
@@ -24,7 +24,7 @@ from cognitivedrone.vehicles.mavlink.client.link.traffic import (
     noticed,
     request_time,
 )
-from cognitivedrone.vehicles.mavlink.client.link.transport import Transport
+from cognitivedrone.vehicles.mavlink.client.transport import Transport
 from cognitivedrone.vehicles.mavlink.telemetry import (
     ARMED_FLAG,
     GROUND_STATION,
