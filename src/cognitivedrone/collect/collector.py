@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -300,11 +300,7 @@ class _Gathered:
         return [index for index in self._job.indices(number) if index not in there]
 
     def _written(self) -> int:
-        return self._job.episodes - _count(self._job.indices(number) for number in self._parts)
-
-
-def _count(ranges: Iterable[range]) -> int:
-    return sum(map(len, ranges))
+        return self._job.episodes - sum(len(self._job.indices(number)) for number in self._parts)
 
 
 def pool_of(job: Job, config: CollectPlan, most: int) -> Pool[list[int], FlownEpisode]:

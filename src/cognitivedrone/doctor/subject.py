@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal, TypeAlias
@@ -94,7 +95,7 @@ def _flight(runner: TrackRunner, task: Task, rng: np.random.Generator) -> Iterat
         if step in STEPS:
             seen = drone.observe()
             seen = replace(seen, image=seen.image.copy(), down=None if seen.down is None else seen.down.copy())
-            yield LabelledView(task, runner.stage, _copy(runner.world.state()), seen, _commands(runner), step > 0)
+            yield LabelledView(task, runner.stage, deepcopy(runner.world.state()), seen, _commands(runner), step > 0)
         runner.world.command(clip_action(expert.command() + rng.normal(size=4) * _SWAY))
         runner.world.advance()
 
@@ -105,10 +106,6 @@ def _commands(runner: TrackRunner) -> Commands:
     position, velocity = np.tile(state.position, (3, 1)), np.tile(state.velocity, (3, 1))
     yaw = np.full(3, float(yaw_of(state.quaternion)))
     return clip_action(intent(position, velocity, yaw, centers, yaws, ExpertConfig()))
-
-
-def _copy(state: DroneState) -> DroneState:
-    return DroneState(*(np.array(getattr(state, name)) for name in DroneState.__dataclass_fields__))
 
 
 Verdict = Literal["good", "wrong", "unknown"]

@@ -5,7 +5,7 @@ An oracle reasoner with a given error rate: shows how a reasoner's accuracy affe
 
 from __future__ import annotations
 
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 
@@ -15,28 +15,38 @@ from cognitivedrone.tasks import write_directive
 from cognitivedrone.types import CATEGORIES, EpisodeContext, Guidance, Image, Task
 
 
-class Oracle(Reasoner):
-    """Knows the right gate from privileged state; ignores the image."""
+class TaskReasoner(Reasoner):
+    """Answers by the current task, which only a simulator knows, and ignores the image."""
 
+    name: ClassVar[str]
+    """In errors."""
     reads_english_only = True
-
     needs_ground_truth = True
-
-    def __init__(self) -> None:
-        self._task: Task | None = None
+    _task: Task | None = None
 
     def reset(self, context: EpisodeContext) -> None:
         """Take the current task."""
         self._task = context.ground_truth.task if context.ground_truth else None
 
-    def refine(self, image: Image, instruction: str) -> Guidance:
-        """The gold directive of the current task."""
+    @property
+    def task(self) -> Task:
+        """The current task; raises `GroundTruthError` if it is not known."""
         if self._task is None:
             raise GroundTruthError(
-                "the oracle reasoner needs the simulator's ground truth; this flight does not have it"
+                f"the {self.name} reasoner needs the simulator's ground truth; this flight does not have it"
             )
-        present = 0.0 if self._task.target is None else None
-        return Guidance(self._task.directive, self._task.target, 1.0, present=present)
+        return self._task
+
+
+class Oracle(TaskReasoner):
+    """Knows the right gate."""
+
+    name = "oracle"
+
+    def refine(self, image: Image, instruction: str) -> Guidance:
+        """The gold directive of the current task."""
+        present = 0.0 if self.task.target is None else None
+        return Guidance(self.task.directive, self.task.target, 1.0, present=present)
 
 
 PUBLISHED_ACCURACY: Final = 153 / 218
@@ -47,7 +57,7 @@ three categories.
 """
 
 
-class NoisyOracle(Reasoner):
+class NoisyOracle(TaskReasoner):
     """Gives the gold directive with a given probability, otherwise that of one of the other two gates.
 
     The draw is made once per stage, so a wrong answer stays wrong; with `each`, once per answer. A single gate is never
@@ -55,9 +65,7 @@ class NoisyOracle(Reasoner):
     over accuracies compares like with like.
     """
 
-    reads_english_only = True
-
-    needs_ground_truth = True
+    name = "noisy-oracle"
     needs_seed = True
 
     def __init__(
@@ -82,24 +90,19 @@ class NoisyOracle(Reasoner):
                 )
         self.each = each
         self._rng = np.random.default_rng(0)
-        self._task: Task | None = None
         self._gate: int | None = 0
 
     def reset(self, context: EpisodeContext) -> None:
         """Take the current task, and draw whether the answer is right; a new flight reseeds the generator."""
         if context.stage == 0:
             self._rng = np.random.default_rng(context.seed)
-        self._task = context.ground_truth.task if context.ground_truth else None
+        super().reset(context)
         if self._task is not None and not self.each:
             self._gate = self._draw(self._task)
 
     def refine(self, image: Image, instruction: str) -> Guidance:
         """The directive of the drawn gate, always with confidence 1."""
-        task = self._task
-        if task is None:
-            raise GroundTruthError(
-                "the noisy-oracle reasoner needs the simulator's ground truth; this flight does not have it"
-            )
+        task = self.task
         if self.each:
             self._gate = self._draw(task)
         gate = self._gate

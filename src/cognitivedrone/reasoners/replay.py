@@ -14,10 +14,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, get_args
 
-from cognitivedrone.errors import GroundTruthError, PluginError, ReasonerError, ReasonerFault, TaskError, did_you_mean
+from cognitivedrone.errors import PluginError, ReasonerError, ReasonerFault, TaskError, did_you_mean
 from cognitivedrone.files import check_regular, own_files, read_regular, reason_of
 from cognitivedrone.files.texts import decoded
-from cognitivedrone.interfaces import Reasoner
+from cognitivedrone.reasoners.oracle import TaskReasoner
 from cognitivedrone.tasks.directives import fitting_gate
 from cognitivedrone.tasks.format import read_json, task_from_json
 from cognitivedrone.tasks.published import type_of
@@ -92,21 +92,18 @@ def _entry(obj: Mapping[str, Any], where: str) -> Entry:
     return Guidance(directive, gate, float(confidence))
 
 
-class Replay(Reasoner):
+class Replay(TaskReasoner):
     """Gives the answers of a file and ignores the image. Several answers to a task follow in order; the last repeats.
 
     The simulator supplies the id of the current task. A recorded fault is raised as that fault; a task that is not in
     the file, as `unsure`.
     """
 
-    reads_english_only = True
-
-    needs_ground_truth = True
+    name = "replay"
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         self.answers = read_answers(self.path)
-        self._task: str | None = None
         self._given = 0
 
     @classmethod
@@ -119,22 +116,20 @@ class Replay(Reasoner):
         return Path(path)
 
     def reset(self, context: EpisodeContext) -> None:
-        """Take the id of the current task, and start with its first answer."""
-        self._task = context.ground_truth.task.id if context.ground_truth else None
+        """Take the current task, and start with its first answer."""
+        super().reset(context)
         self._given = 0
 
     def refine(self, image: Image, instruction: str) -> Guidance:
         """The next answer to the current task; raises `ReasonerError` if it is a fault, or there is none."""
-        if self._task is None:
-            raise GroundTruthError("the replay reasoner needs the id of the task, which only a simulator knows")
-        entries = self.answers.get(self._task)
+        entries = self.answers.get(self.task.id)
         if entries is None:
-            raise ReasonerError("unsure", f"{self.path} has no answer for task {self._task!r}")
+            raise ReasonerError("unsure", f"{self.path} has no answer for task {self.task.id!r}")
         entry = entries[min(self._given, len(entries) - 1)]
         self._given += 1
         if isinstance(entry, Guidance):
             return entry
-        raise ReasonerError(entry, f"{self.path} answers task {self._task!r} with the fault {entry!r}")
+        raise ReasonerError(entry, f"{self.path} answers task {self.task.id!r} with the fault {entry!r}")
 
 
 ANSWER = "prompt_after_reasoning"
@@ -152,13 +147,12 @@ def answer_files(path: Path) -> list[Path]:
     return files
 
 
-class Published(Reasoner):
+class Published(TaskReasoner):
     """Gives the published answer to the current task; one to a task that is not in the files is the fault `unsure`."""
 
-    needs_ground_truth = True
+    name = "published"
     reads_folder = True
     """Its file may be a folder of files."""
-    reads_english_only = True
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
@@ -166,7 +160,6 @@ class Published(Reasoner):
         for file in answer_files(self.path):
             for key, answer in _answers(file):
                 self.answers.setdefault(key, answer)
-        self._task: Task | None = None
 
     @classmethod
     def file_of(cls, path: Path | str) -> Path:
@@ -174,18 +167,12 @@ class Published(Reasoner):
         answer_files(Path(path))
         return Path(path)
 
-    def reset(self, context: EpisodeContext) -> None:
-        """Take the current task."""
-        self._task = context.ground_truth.task if context.ground_truth else None
-
     def refine(self, image: Image, instruction: str) -> Guidance:
         """The answer to the current task; raises `ReasonerError` if there is none."""
-        if self._task is None:
-            raise GroundTruthError("the published reasoner needs the current task, which only a simulator knows")
-        answer = self.answers.get(_key(self._task))
+        answer = self.answers.get(_key(self.task))
         if answer is None:
-            raise ReasonerError("unsure", f"{self.path} has no answer for task {self._task.id!r}")
-        return Guidance(answer, fitting_gate(answer, self._task.gates), 1.0)
+            raise ReasonerError("unsure", f"{self.path} has no answer for task {self.task.id!r}")
+        return Guidance(answer, fitting_gate(answer, self.task.gates), 1.0)
 
 
 def _key(task: Task) -> _Key:

@@ -27,7 +27,7 @@ from collections.abc import Hashable
 from contextlib import suppress
 from pathlib import Path
 from queue import Full, Queue
-from typing import Any, BinaryIO, Protocol
+from typing import Any, BinaryIO
 
 from cognitivedrone.errors import LinkError, did_you_mean, import_extra
 from cognitivedrone.files import create
@@ -38,31 +38,30 @@ LARGEST_BACKLOG = 2_048
 """Bytes that may wait for a stream whose reader is slow; what comes then is dropped, since it would arrive too late."""
 
 
-class Transport(Protocol):
+class Transport(ABC):
     """A way to a vehicle."""
 
     datagrams: bool
     """Whether each read is one datagram, whole in itself, or a piece of a stream."""
 
+    @abstractmethod
     def fileno(self) -> int:
         """What becomes readable when something has come."""
-        ...
 
+    @abstractmethod
     def read(self, timeout_s: float) -> tuple[bytes, Hashable]:
         """What has come, waiting at most so long (b"" if nothing), and whom it is from; `LinkError` if it is cut."""
-        ...
 
+    @abstractmethod
     def write(self, data: bytes) -> None:
         """Send, or drop it where there is nobody yet, or who reads too slowly; raises `LinkError` where it is cut."""
-        ...
 
-    def answer_to(self, peer: Hashable) -> None:
-        """Send to this one from now on."""
-        ...
+    def answer_to(self, peer: Hashable) -> None:  # noqa: B027
+        """Send to this one from now on; of a stream there is no other."""
 
+    @abstractmethod
     def close(self) -> None:
         """Hang up."""
-        ...
 
 
 def open_transport(url: str, *, timeout_s: float = 5.0) -> Transport:
@@ -92,7 +91,7 @@ _NUMBER = re.compile("[0-9]{1,8}")
 FORMS = "udp:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE[:BAUD]"
 
 
-class _Udp:
+class _Udp(Transport):
     datagrams = True
 
     def __init__(self, *, bind: tuple[str, int] | None, peer: tuple[str, int] | None) -> None:
@@ -132,7 +131,7 @@ class _Udp:
         self._socket.close()
 
 
-class _Stream(ABC):
+class _Stream(Transport):
     """Whole packets, in order, to something that takes bytes when it can."""
 
     datagrams = False
@@ -149,9 +148,6 @@ class _Stream(ABC):
             return
         self._backlog += data
         self._flush()
-
-    def answer_to(self, peer: Hashable) -> None:  # noqa: B027
-        pass
 
     def _flush(self) -> None:
         while self._backlog and (taken := self._take(self._backlog)):
