@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from cognitivedrone.benchmark.scores.results import Results, read_results
+from cognitivedrone.benchmark.scores.run_types import unanswered
 from cognitivedrone.benchmark.scores.scoring import (
     Interval,
     Paired,
@@ -20,7 +21,6 @@ from cognitivedrone.benchmark.scores.scoring import (
     pair,
     passes,
 )
-from cognitivedrone.benchmark.scores.transport import unanswered
 from cognitivedrone.errors import RunError
 from cognitivedrone.plan import Rule
 from cognitivedrone.types import ALL_CATEGORIES, Category, StageResult

@@ -1,6 +1,7 @@
 """Missions: one sentence for a whole flight, read into sub-goals, one for each stage. Pure text."""
 
 from cognitivedrone.tasks.missions.goals import (
+    LONGEST,
     asked_of,
     changed,
     is_mission,
@@ -16,7 +17,6 @@ from cognitivedrone.tasks.missions.goals import (
     told,
     way,
 )
-from cognitivedrone.tasks.missions.parts import LONGEST
 from cognitivedrone.tasks.missions.reading import forbidden, forbidding, problem_of, read, sub_goals
 
 __all__ = [
