@@ -26,10 +26,9 @@ from cognitivedrone.apps.fly import fly_mission
 from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.pilot import open_pilot
 from cognitivedrone.play.board import CHASE, LiveBoard
-from cognitivedrone.play.channels import Channels
 from cognitivedrone.play.config import PageSpec
 from cognitivedrone.play.flight import FlightPage
-from cognitivedrone.play.server import serving_page
+from cognitivedrone.play.server import Channels, serving_page
 
 SENTENCES = ("fly to the cat", "the elephant please", "go to the banana", "fly through the gate with the bus")
 

@@ -28,8 +28,7 @@ from cognitivedrone.plan import Scenario
 from cognitivedrone.reasoners.scene_text import ReadScene
 from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.sim.airframe import find_airframe
-from cognitivedrone.tasks.scenario import suite_of
-from cognitivedrone.tasks.suites import CONDITIONS
+from cognitivedrone.tasks.suites import CONDITIONS, suite_of
 from cognitivedrone.terminal.progress import counted
 from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Gate, Task

@@ -15,7 +15,7 @@ import torch
 import transformers
 
 from cognitivedrone.benchmark.measurements import machine_of, measurement, read_measurement, write_measurement
-from cognitivedrone.benchmark.runs.provenance import platform_facts
+from cognitivedrone.benchmark.runs.job import platform_facts
 from cognitivedrone.models.openvla.checkpoint import Quantisation
 from cognitivedrone.models.openvla.config import Config, tiny_config
 from cognitivedrone.models.openvla.fused import fuse

@@ -24,10 +24,9 @@ from cognitivedrone.benchmark.runs.job import resolve
 from cognitivedrone.benchmark.runs.runner import run as bench
 from cognitivedrone.benchmark.scores.run_types import Rollout
 from cognitivedrone.collect import collector
-from cognitivedrone.collect.collector import collect
+from cognitivedrone.collect.collector import Job, collect
 from cognitivedrone.collect.config import CollectPlan
 from cognitivedrone.collect.fleet import FlownEpisode
-from cognitivedrone.collect.job import Job
 from cognitivedrone.collect.recipe import RECIPES
 from cognitivedrone.plan import TaskSource
 

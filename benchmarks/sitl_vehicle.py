@@ -24,11 +24,10 @@ from pymavlink.dialects.v20 import ardupilotmega as m
 from cognitivedrone.errors import LinkError
 from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.types import FloatArray
-from cognitivedrone.vehicles.mavlink.renames import RENAMED, with_both_names
+from cognitivedrone.vehicles.mavlink.autopilot import RENAMED, with_both_names
 from cognitivedrone.vehicles.sitl.arducopter import FIRST_PORT, PORT_STEP, ArduCopter, find_binary
 from cognitivedrone.vehicles.sitl.flight import open_server
-from cognitivedrone.vehicles.sitl.json_interface import serving
-from cognitivedrone.vehicles.sitl.physics import Plant, Sensed
+from cognitivedrone.vehicles.sitl.json_interface import Plant, Sensed, serving
 
 T = TypeVar("T")
 

@@ -11,7 +11,7 @@ import pytest
 from cognitivedrone import registry
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.interfaces import Policy
-from cognitivedrone.policies import POLICIES, SELF_CONTAINED, make_policy, model_file
+from cognitivedrone.policies import POLICIES, SELF_CONTAINED, make_policy, policy_files
 from cognitivedrone.reasoners import REASONERS, make_reasoner, reasoner_files
 from cognitivedrone.reasoners import SELF_CONTAINED as REASONERS_ALONE
 
@@ -217,7 +217,7 @@ def plain_function(value: str = "") -> None:
         f"{__name__}:Plain",
     ],
 )
-@pytest.mark.parametrize("make", [make_policy, model_file])
+@pytest.mark.parametrize("make", [make_policy, policy_files])
 def test_what_is_no_policy_is_not_called(name, make, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(PolicyError, match=r"has no|no module") as error:

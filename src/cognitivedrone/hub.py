@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 from urllib.parse import urlsplit
 
-from cognitivedrone.data.disk import read_json
-from cognitivedrone.data.manifest import MANIFEST, read_manifest
+from cognitivedrone.data.manifest import MANIFEST, read_json, read_manifest
 from cognitivedrone.errors import CognitiveDroneError, HubError, import_extra
 from cognitivedrone.files import check_no_link, reason_of, remove, replace_file, writing
 from cognitivedrone.files.locks import LOCK_FILE, holds_files, sole_writer

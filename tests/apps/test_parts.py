@@ -33,7 +33,7 @@ from cognitivedrone.system.interrupts import until_asked
 from cognitivedrone.types import Event, EventKind, Guidance, Observation
 from cognitivedrone.vehicles import check_vehicle
 from cognitivedrone.vehicles.camera import open_camera
-from cognitivedrone.vehicles.mavlink.client.link.tlog import open_log
+from cognitivedrone.vehicles.mavlink.client.transport import open_log
 
 ACTION = np.array([1.25, -0.5, 0.25, 0.4], dtype=np.float32)
 

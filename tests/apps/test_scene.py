@@ -20,8 +20,7 @@ from cognitivedrone.apps.understanding.scene import choose_scene
 from cognitivedrone.apps.vehicle import serve_vehicle
 from cognitivedrone.cli import main
 from cognitivedrone.errors import LabelError, NotUnderstood, TaskError, UsageError
-from cognitivedrone.film.movie import END_S, FPS
-from cognitivedrone.film.video import read_mp4
+from cognitivedrone.film.movie import END_S, FPS, read_mp4
 from cognitivedrone.tasks import load_suite, write_tasks
 from cognitivedrone.types import CONTROL_HZ, Task
 

@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 from cognitivedrone.audit import run as run_module
-from cognitivedrone.audit.catalogue import AUDITS
+from cognitivedrone.audit.catalogue import AUDITS, Filter, FilteredPolicy, FilteredReasoner
 from cognitivedrone.audit.config import AuditPlan
-from cognitivedrone.audit.filters import Filter, FilteredPolicy, FilteredReasoner
-from cognitivedrone.audit.report import audit_table, render_audit
-from cognitivedrone.audit.run import FEWEST_FLIGHTS, Row, audit, folder_of, is_sound
+from cognitivedrone.audit.run import FEWEST_FLIGHTS, Row, audit, audit_table, folder_of, is_sound, render_audit
 from cognitivedrone.benchmark.reports.tables import as_text
 from cognitivedrone.benchmark.scores.scoring import wilson
 from cognitivedrone.cli import main, scoring
@@ -106,7 +104,7 @@ def test_options_and_cameras_reach_the_flight(tmp_path):
     run = json.loads((tmp_path / "audit" / "wind-4-m-s" / "run.json").read_text())
     assert run["options"]["wind_m_s"] == 4.0
     run = json.loads((tmp_path / "audit" / "camera-roll-12-degrees" / "run.json").read_text())
-    assert run["policy"] == 'cognitivedrone.audit.filters:FilteredPolicy:"colour_seeker",roll_deg=12'
+    assert run["policy"] == 'cognitivedrone.audit.catalogue:FilteredPolicy:"colour_seeker",roll_deg=12'
     assert "FilteredReasoner" in run["reasoner"]
 
 

@@ -22,8 +22,8 @@ from cognitivedrone.benchmark.reports.tables import results_table, words
 from cognitivedrone.benchmark.runs.job import resolve
 from cognitivedrone.benchmark.runs.runner import run
 from cognitivedrone.benchmark.scores.scoring import OUTCOMES
-from cognitivedrone.film.video import encode_mp4
-from cognitivedrone.tasks.scenario import suite_of
+from cognitivedrone.film.movie import encode_mp4
+from cognitivedrone.tasks.suites import suite_of
 from cognitivedrone.types import GatePlace
 from cognitivedrone.world import geometry
 

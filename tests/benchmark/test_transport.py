@@ -8,7 +8,7 @@ import pytest
 from chat_server import GOOD, Script, chat, serving
 
 from cognitivedrone.benchmark.scores.results import read_results
-from cognitivedrone.benchmark.scores.transport import not_measured
+from cognitivedrone.benchmark.scores.run_types import not_measured
 from cognitivedrone.cli import main
 
 pytestmark = pytest.mark.usefixtures("no_vlm_settings")

@@ -27,7 +27,7 @@ from cognitivedrone.collect.collector import collect
 from cognitivedrone.collect.config import CollectPlan
 from cognitivedrone.plan import Scenario
 from cognitivedrone.tasks import load_suite, write_tasks
-from cognitivedrone.tasks.scenario import how_many, suite_of
+from cognitivedrone.tasks.suites import how_many, suite_of
 from cognitivedrone.terminal.progress import progress_bar
 
 

@@ -9,15 +9,14 @@ import pytest
 
 from cognitivedrone.apps.config import FlyPlan
 from cognitivedrone.audit.config import AuditPlan
-from cognitivedrone.audit.report import audit_table
-from cognitivedrone.audit.run import folder_of
+from cognitivedrone.audit.run import audit_table, folder_of
 from cognitivedrone.benchmark import measurements
 from cognitivedrone.benchmark.config import Plan, ReasonPlan
 from cognitivedrone.benchmark.reasoning import reason
 from cognitivedrone.benchmark.runs import runner
 from cognitivedrone.benchmark.runs.job import resolve
 from cognitivedrone.benchmark.scores.codec import dumps
-from cognitivedrone.collect.job import Learner
+from cognitivedrone.collect.collector import Learner
 from cognitivedrone.plan import PilotSpec
 from cognitivedrone.play.flight import command_line
 from cognitivedrone.serving.config import ServePlan

@@ -17,8 +17,7 @@ import pytest
 from collect_pools import flying, forwards
 
 from cognitivedrone.collect import collector
-from cognitivedrone.collect.collector import CollectPlan, collect
-from cognitivedrone.collect.job import Job
+from cognitivedrone.collect.collector import CollectPlan, Job, collect
 from cognitivedrone.collect.recipe import RECIPES
 from cognitivedrone.data.manifest import WRITING
 from cognitivedrone.data.store import Store

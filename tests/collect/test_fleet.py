@@ -9,8 +9,7 @@ import pytest
 
 from cognitivedrone.collect import fleet as fleet_module
 from cognitivedrone.collect.fleet import Fleet, attempt_rng, relabel
-from cognitivedrone.collect.perturbation import disturb, draw_beginning, draw_disturbances
-from cognitivedrone.collect.recipe import RECIPES, find_recipe
+from cognitivedrone.collect.recipe import RECIPES, disturb, draw_beginning, draw_disturbances, find_recipe
 from cognitivedrone.collect.replay import replay
 from cognitivedrone.data.episode import decode_image
 from cognitivedrone.envs.track_runner import TrackConfig

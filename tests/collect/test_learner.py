@@ -12,8 +12,7 @@ from collect_pools import flying, forwards
 from tiny import DESCRIPTION, tiny_model
 
 from cognitivedrone.collect import collector
-from cognitivedrone.collect.collector import CollectPlan, collect
-from cognitivedrone.collect.job import Job, learner_of
+from cognitivedrone.collect.collector import CollectPlan, Job, collect, learner_of
 from cognitivedrone.collect.recipe import RECIPES
 from cognitivedrone.data.store import Store
 from cognitivedrone.data.verify import verify

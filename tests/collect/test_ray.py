@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from cognitivedrone.collect.collector import CollectPlan, collect
-from cognitivedrone.collect.job import Job
+from cognitivedrone.collect.collector import CollectPlan, Job, collect
 from cognitivedrone.collect.recipe import RECIPES
 from cognitivedrone.errors import TaskError
 from cognitivedrone.plan import TaskSource

@@ -10,8 +10,7 @@ from broken_pilots import IMAGES, STATES, Remembering, Seeker, Slow
 from cognitivedrone.cli import main
 from cognitivedrone.doctor import report
 from cognitivedrone.doctor.examination import examine
-from cognitivedrone.doctor.subject import Subject
-from cognitivedrone.doctor.views import look_around
+from cognitivedrone.doctor.subject import Subject, look_around
 from cognitivedrone.errors import PluginError
 from cognitivedrone.policies import colour_seeker, make_policy
 from cognitivedrone.policies.colour_seeker import find_gate

@@ -7,7 +7,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from cognitivedrone.benchmark.runs.flight_log import FlightLog
+from cognitivedrone.benchmark.runs.episode import FlightLog
 from cognitivedrone.envs.track_runner import DECLINED_S, TrackConfig, TrackRunner
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies.expert import Expert

@@ -13,7 +13,7 @@ from cognitivedrone.benchmark.runs.records import read_records
 from cognitivedrone.benchmark.scores.results import read_results
 from cognitivedrone.benchmark.submission_file import read_submission
 from cognitivedrone.control.latency import parse_delays
-from cognitivedrone.data.disk import read_json, sha256_of
+from cognitivedrone.data.manifest import read_json, sha256_of
 from cognitivedrone.data.shards import ShardFile
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import CognitiveDroneError
@@ -26,7 +26,7 @@ from cognitivedrone.reasoners.prompt import load_prompt
 from cognitivedrone.reasoners.replay import read_answers
 from cognitivedrone.serving.access import token_of
 from cognitivedrone.tasks.format import read_tasks
-from cognitivedrone.tasks.knowledge.rows import read_rows
+from cognitivedrone.tasks.knowledge.tables import read_rows
 
 READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "answers": ("answers.jsonl", read_answers),

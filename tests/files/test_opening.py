@@ -77,7 +77,7 @@ ALLOWED: dict[str, frozenset[str]] = {
             "pq.read_metadata",
         },
         "data/formats/lerobot_files.py": {"av.open"},
-        "film/video.py": {"av.open"},
+        "film/movie.py": {"av.open"},
         "models/checksum.py": {"path.open"},
         "models/onnx_file.py": {"onnx.load", "onnx.save"},
         "models/openvla/weights.py": {"safe_open", "save_file"},

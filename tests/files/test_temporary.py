@@ -89,7 +89,7 @@ def test_where_no_file_can_be_locked_nothing_is_swept(place: Path, monkeypatch: 
     def refused(_: int) -> bool:
         raise OSError(37, "No locks available")
 
-    monkeypatch.setattr(temporary, "take_lock", refused)
+    monkeypatch.setattr(temporary.system, "lock", refused)
     left = made()
     with TemporaryFolder():
         temporary._sweep.cache_clear()

@@ -14,7 +14,7 @@ from cognitivedrone.reasoners.prompt import load_prompt
 from cognitivedrone.reasoners.replay import read_answers
 from cognitivedrone.serving.access import token_of
 from cognitivedrone.tasks.format import read_json
-from cognitivedrone.tasks.knowledge.rows import read_rows
+from cognitivedrone.tasks.knowledge.tables import read_rows
 from cognitivedrone.text.json_text import NotJSON
 
 PLAIN = "concept,colour,note\ncafé,brown,warm\n"

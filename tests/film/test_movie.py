@@ -12,9 +12,8 @@ import pytest
 from cognitivedrone.cli import main
 from cognitivedrone.errors import PluginError
 from cognitivedrone.film.frame import Film, FilmFrame, Scene, Verdict, reading_of
-from cognitivedrone.film.movie import END_S, FPS, LONGEST_S, pictures, write_flight
+from cognitivedrone.film.movie import END_S, FPS, LONGEST_S, pictures, read_mp4, write_flight
 from cognitivedrone.film.overlays import READING
-from cognitivedrone.film.video import read_mp4
 from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.reasoners.scene_text import UNREADABLE
 from cognitivedrone.sim.drone_world import Scenery

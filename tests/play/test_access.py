@@ -15,11 +15,9 @@ from tests.play.test_page import PAGE, Recorded, ask, live, port_of
 from cognitivedrone.cli import main
 from cognitivedrone.errors import TaskError
 from cognitivedrone.play import app as play_app
-from cognitivedrone.play.access import Guarded
-from cognitivedrone.play.channels import Channels
+from cognitivedrone.play.app import Replay
 from cognitivedrone.play.config import PageSpec, PlayPlan
-from cognitivedrone.play.replay import Replay
-from cognitivedrone.play.server import serving_page
+from cognitivedrone.play.server import Channels, Guarded, serving_page
 from cognitivedrone.play.studio import Studio
 
 TOKEN = "a&token;of=16+/%"  # noqa: S105

@@ -24,11 +24,10 @@ from cognitivedrone.labels import load_pack
 from cognitivedrone.play import server
 from cognitivedrone.play.app import play
 from cognitivedrone.play.board import LiveBoard, Sticks, pose_between
-from cognitivedrone.play.channels import Channels
 from cognitivedrone.play.config import PageSpec, PlayPlan
 from cognitivedrone.play.flight import FlightPage, command_line
-from cognitivedrone.play.pictures import keep_picture, own_scene, renamed, spoken_name
-from cognitivedrone.play.server import Controls, serving_page
+from cognitivedrone.play.lesson import keep_picture, own_scene, renamed, spoken_name
+from cognitivedrone.play.server import Channels, Controls, serving_page
 from cognitivedrone.terminal import console
 
 TOKEN = "a-token-of-sixteen"  # noqa: S105

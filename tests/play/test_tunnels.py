@@ -18,9 +18,8 @@ from pathlib import Path
 import pytest
 from tests.play.test_page import Recorded, ask, live, port_of
 
-from cognitivedrone.play.channels import Channels
 from cognitivedrone.play.config import PageSpec
-from cognitivedrone.play.server import serving_page
+from cognitivedrone.play.server import Channels, serving_page
 
 DOCS = (Path(__file__).parents[2] / "docs" / "play.md").read_text("utf-8")
 PATH = f"{os.environ['PATH']}:/usr/sbin"

@@ -11,7 +11,7 @@ from chat_server import Script, chat, serving
 from cognitivedrone.control.planning import plans_with
 from cognitivedrone.errors import ReasonerError
 from cognitivedrone.reasoners import make_reasoner
-from cognitivedrone.reasoners.mission_plan import PLAN_SCHEMA, plan_prompt, read_plan
+from cognitivedrone.reasoners.prompt import PLAN_SCHEMA, plan_prompt, read_plan
 from cognitivedrone.reasoners.vlm import Vlm
 from cognitivedrone.types import SubGoal
 

@@ -10,7 +10,7 @@ from scipy.stats import binom
 
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.reasoners import make_reasoner
-from cognitivedrone.reasoners.noisy_oracle import PUBLISHED_ACCURACY, NoisyOracle
+from cognitivedrone.reasoners.oracle import PUBLISHED_ACCURACY, NoisyOracle
 from cognitivedrone.tasks import load_suite, write_directive
 from cognitivedrone.types import CATEGORIES, DroneState, EpisodeContext, GroundTruth, Guidance, Stage, Task
 

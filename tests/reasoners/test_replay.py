@@ -66,7 +66,7 @@ def test_a_task_that_the_file_does_not_have_gets_no_answer(tmp_path):
 
 def test_it_needs_to_be_told_the_task(tmp_path):
     reasoner = Replay(written(tmp_path / "answers.jsonl", {"task": FIRST.id, "directive": "Go left"}))
-    with pytest.raises(PolicyError, match="which only a simulator knows"):
+    with pytest.raises(PolicyError, match="needs the simulator's ground truth"):
         reasoner.refine(IMAGE, "")
 
 

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any
 
+from cognitivedrone.collect.collector import Job
 from cognitivedrone.collect.fleet import Fleet, FlownEpisode
-from cognitivedrone.collect.job import Job
 
 Fly = Callable[[Fleet, Sequence[Sequence[int]]], Iterator[FlownEpisode]]
 

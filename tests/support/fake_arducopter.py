@@ -17,7 +17,7 @@ from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.sim.dynamics import BatchedFlight
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.vehicles.mavlink.server.vehicle import SimulatedVehicle, VehicleConfig, serve
-from cognitivedrone.vehicles.sitl.physics import LINEAR_THRUST, PWM_HIGH, PWM_LOW
+from cognitivedrone.vehicles.sitl.json_interface import LINEAR_THRUST, PWM_HIGH, PWM_LOW
 
 LEAST_SPEED = 6
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cognitivedrone.collect.job import Job, open_suite
+from cognitivedrone.collect.collector import Job, open_suite
 from cognitivedrone.collect.recipe import RECIPES
 from cognitivedrone.errors import DataError, TaskError
 from cognitivedrone.plan import TaskSource

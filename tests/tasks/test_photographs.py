@@ -11,7 +11,7 @@ from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.runs.job import resolve
 from cognitivedrone.errors import LabelError, RunError
 from cognitivedrone.labels import load_pack
-from cognitivedrone.labels.weather import split_weather, weathered
+from cognitivedrone.labels.images import split_weather, weathered
 from cognitivedrone.layout import is_clear
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.tasks.vocabulary import HELD_OUT_PICTURE_SETS

@@ -9,8 +9,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as m
 
-from cognitivedrone.vehicles.mavlink.client.link.connection import MavlinkConnection
-from cognitivedrone.vehicles.mavlink.client.link.traffic import COMMANDING, MISSION_ITEMS
+from cognitivedrone.vehicles.mavlink.client.connection import MavlinkConnection
+from cognitivedrone.vehicles.mavlink.client.traffic import COMMANDING, MISSION_ITEMS
+from cognitivedrone.vehicles.mavlink.client.transport import Transport
 
 VEHICLE, STRANGER = 1, 2
 """Where a packet comes from."""
@@ -18,7 +19,7 @@ MOVING = {*COMMANDING, *MISSION_ITEMS, "COMMAND_LONG", "COMMAND_INT"}
 BEAT = m.MAVLink_heartbeat_message(2, 3, 0x81, 4, 4, 3)
 
 
-class Fed:
+class Fed(Transport):
     """A transport that gives what it is fed."""
 
     datagrams = True
@@ -40,9 +41,6 @@ class Fed:
         return data[1:], data[0]
 
     def write(self, data: bytes) -> None:
-        pass
-
-    def answer_to(self, peer: Hashable) -> None:
         pass
 
     def close(self) -> None:

@@ -21,7 +21,7 @@ from cognitivedrone.vehicles.checklist import Checklist
 from cognitivedrone.vehicles.mavlink.client.core import FlightCore, LandingMode
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.mavlink.client.health import FlightGuard
-from cognitivedrone.vehicles.mavlink.client.link.tlog import PacketLog, open_log
+from cognitivedrone.vehicles.mavlink.client.transport import PacketLog, open_log
 
 MODES = {"STABILIZE": 0, "GUIDED": 4, "LOITER": 5, "RTL": 6, "LAND": 9, "BRAKE": 17}
 REMOTE_BIT = m.MAV_SYS_STATUS_SENSOR_RC_RECEIVER

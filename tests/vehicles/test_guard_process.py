@@ -25,11 +25,10 @@ from waiting import soon
 
 from cognitivedrone.control.safety import SafetyConfig, Timeouts
 from cognitivedrone.errors import LinkError
-from cognitivedrone.vehicles.mavlink.client.checks.preflight import FRESH_S
+from cognitivedrone.vehicles.mavlink.client import transport
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
-from cognitivedrone.vehicles.mavlink.client.link import tlog
-from cognitivedrone.vehicles.mavlink.client.link.tlog import PacketLog
-from cognitivedrone.vehicles.mavlink.client.link.transport import LARGEST_BACKLOG, open_transport
+from cognitivedrone.vehicles.mavlink.client.preflight import FRESH_S
+from cognitivedrone.vehicles.mavlink.client.transport import LARGEST_BACKLOG, PacketLog, open_transport
 from cognitivedrone.vehicles.mavlink.guard import messages, process
 from cognitivedrone.vehicles.mavlink.guard.drone import SupervisedDrone
 from cognitivedrone.vehicles.mavlink.guard.messages import (
@@ -461,7 +460,7 @@ def test_a_full_or_slow_disk_costs_the_log_and_nothing_else(disk, tmp_path, monk
     reader, writer = os.pipe()  # nobody reads it: what writes waits for ever
     fcntl.fcntl(writer, fcntl.F_SETPIPE_SZ, 4096)
     files: dict[str, str | int] = {"full": "/dev/full", "too slow": writer}
-    monkeypatch.setattr(tlog, "create", lambda *_: open(files[disk], "wb", buffering=0))  # noqa: PTH123, SIM115
+    monkeypatch.setattr(transport, "create", lambda *_: open(files[disk], "wb", buffering=0))  # noqa: PTH123, SIM115
     with playing() as peer:
         with flying(peer, config=replace(SURE, tlog=tmp_path / "flight.tlog")) as drone:
             before = time.monotonic()
@@ -480,21 +479,21 @@ def test_a_full_or_slow_disk_costs_the_log_and_nothing_else(disk, tmp_path, monk
 
 def test_a_stream_whose_reader_has_stopped_drops_whole_packets():
     with socket.create_server(("127.0.0.1", 0)) as server:
-        transport = open_transport(f"tcp:127.0.0.1:{server.getsockname()[1]}")
+        link = open_transport(f"tcp:127.0.0.1:{server.getsockname()[1]}")
         with server.accept()[0] as reader:
             packet = bytes(range(250))
             began = time.monotonic()
-            while transport.dropped < 10:
-                transport.write(packet)
+            while link.dropped < 10:
+                link.write(packet)
             assert time.monotonic() - began < 60
             got = b""
             reader.settimeout(0.2)
             with suppress(TimeoutError):
                 while data := reader.recv(1 << 20):
                     got += data
-            assert len(transport._backlog) <= LARGEST_BACKLOG
+            assert len(link._backlog) <= LARGEST_BACKLOG
             assert got.startswith(packet * (len(got) // len(packet)))
-        transport.close()
+        link.close()
 
 
 # Messages.

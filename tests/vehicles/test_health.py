@@ -10,7 +10,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as m
 
 from cognitivedrone.vehicles.mavlink.client.health import Asked, Baseline, health_of
-from cognitivedrone.vehicles.mavlink.client.link.traffic import Traffic, answered, noticed, request_time
+from cognitivedrone.vehicles.mavlink.client.traffic import Traffic, answered, noticed, request_time
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, unlanded, updated
 
 REMOTE = m.MAV_SYS_STATUS_SENSOR_RC_RECEIVER

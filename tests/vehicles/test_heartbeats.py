@@ -23,7 +23,7 @@ from cognitivedrone.vehicles.mavlink.autopilot import PX4
 from cognitivedrone.vehicles.mavlink.client import core
 from cognitivedrone.vehicles.mavlink.client.handshake import ENDS_BY_ITSELF, MavlinkConfig, must_beat
 from cognitivedrone.vehicles.mavlink.client.health import grounded
-from cognitivedrone.vehicles.mavlink.client.link.heartbeats import (
+from cognitivedrone.vehicles.mavlink.client.heartbeats import (
     LASTS_IN_DOUBT_S,
     UNPROVEN_S,
     Flown,

@@ -20,10 +20,10 @@ from pymavlink.dialects.v20 import ardupilotmega as m
 from cognitivedrone.control.safety import Memory, SafetyConfig, decide, order, shape
 from cognitivedrone.errors import LinkError
 from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.vehicles.mavlink.client import connection
+from cognitivedrone.vehicles.mavlink.client.connection import MavlinkConnection
 from cognitivedrone.vehicles.mavlink.client.health import Asked, Baseline, health_of
-from cognitivedrone.vehicles.mavlink.client.link import connection
-from cognitivedrone.vehicles.mavlink.client.link.connection import MavlinkConnection
-from cognitivedrone.vehicles.mavlink.client.link.traffic import (
+from cognitivedrone.vehicles.mavlink.client.traffic import (
     NEEDED,
     OTHERS_HZ,
     MessageDecoder,
@@ -50,7 +50,7 @@ def test_a_vehicle_is_flown_whatever_kind_of_packet_it_sends(wire):
 
 
 def test_a_vehicle_that_takes_signed_packets_alone_is_said_to(monkeypatch):
-    monkeypatch.setattr("cognitivedrone.vehicles.mavlink.client.link.connection.ACK_S", 0.1)
+    monkeypatch.setattr("cognitivedrone.vehicles.mavlink.client.connection.ACK_S", 0.1)
     with playing(wire="signed only") as peer:
         with pytest.raises(LinkError, match=r"did not answer to .*; it signs its packets, and may ignore ours"):
             connect(peer)

@@ -5,7 +5,7 @@ from contextlib import closing, suppress
 
 import pytest
 
-from cognitivedrone.vehicles.mavlink.client.link.tlog import PacketLog, open_log
+from cognitivedrone.vehicles.mavlink.client.transport import PacketLog, open_log
 from cognitivedrone.vehicles.mavlink.guard import messages
 from cognitivedrone.vehicles.mavlink.guard.messages import MessageSocket, connected_pair
 

@@ -10,10 +10,10 @@ import pytest
 from peer import PARAMETERS, PARAMETERS_4_7
 
 from cognitivedrone.vehicles.checklist import Finding
-from cognitivedrone.vehicles.mavlink.client.checks.expected import ARDUCOPTER_PARAMETERS
-from cognitivedrone.vehicles.mavlink.client.checks.preflight import Facts, build_checklist, corrections
-from cognitivedrone.vehicles.mavlink.client.link.traffic import Traffic
-from cognitivedrone.vehicles.mavlink.renames import read_by_either_name
+from cognitivedrone.vehicles.mavlink.autopilot import read_by_either_name
+from cognitivedrone.vehicles.mavlink.client.expected import ARDUCOPTER_PARAMETERS
+from cognitivedrone.vehicles.mavlink.client.preflight import Facts, build_checklist, corrections
+from cognitivedrone.vehicles.mavlink.client.traffic import Traffic
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry
 
 NAMES = tuple(expected.name for expected in ARDUCOPTER_PARAMETERS)

@@ -18,10 +18,10 @@ from waiting import soon
 from cognitivedrone.control.safety import SafetyConfig
 from cognitivedrone.errors import LinkError
 from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, PX4
-from cognitivedrone.vehicles.mavlink.client.checks.expected import PX4_PARAMETERS as EXPECTED
-from cognitivedrone.vehicles.mavlink.client.checks.preflight import Facts, build_checklist, corrections
+from cognitivedrone.vehicles.mavlink.client.expected import PX4_PARAMETERS as EXPECTED
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
-from cognitivedrone.vehicles.mavlink.client.link.traffic import Traffic
+from cognitivedrone.vehicles.mavlink.client.preflight import Facts, build_checklist, corrections
+from cognitivedrone.vehicles.mavlink.client.traffic import Traffic
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, updated
 
 CONFIG = replace(SURE, takeoff_height_m=0.5)

@@ -8,7 +8,7 @@ import pytest
 from peer import PARAMETERS, PARAMETERS_4_7, SURE, connect, playing
 
 from cognitivedrone.errors import LinkError
-from cognitivedrone.vehicles.mavlink.renames import RENAMED, with_both_names
+from cognitivedrone.vehicles.mavlink.autopilot import RENAMED, with_both_names
 from cognitivedrone.vehicles.mavlink.server.parameters import Parameters
 
 IN_BETWEEN = {

@@ -17,8 +17,7 @@ from cognitivedrone.errors import RunError
 from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.sim.airframe import GRAVITY, IRIS, ROTORS
 from cognitivedrone.types import DroneState
-from cognitivedrone.vehicles.sitl.json_interface import SitlServer, read_packet, timestamp
-from cognitivedrone.vehicles.sitl.physics import Plant, thrust_share
+from cognitivedrone.vehicles.sitl.json_interface import Plant, SitlServer, read_packet, thrust_share, timestamp
 
 HOVER = (1500,) * 4
 OFF = (1000,) * 4

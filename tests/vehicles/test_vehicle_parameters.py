@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("pymavlink")
 
 from cognitivedrone.errors import LinkError
-from cognitivedrone.vehicles.mavlink.client.checks.parameters import ParameterChanges, journal_of, vehicle_key
+from cognitivedrone.vehicles.mavlink.client.parameters import ParameterChanges, journal_of, vehicle_key
 
 
 class Table:

@@ -34,7 +34,7 @@ from cognitivedrone.data.formats.mcap import Ros
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import create, replace_file, replacing, writing
 from cognitivedrone.film.frame import FilmFrame
-from cognitivedrone.film.video import read_mp4
+from cognitivedrone.film.movie import read_mp4
 from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.text.printable import shown_address, without_secrets

@@ -18,7 +18,7 @@ from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.sim.gate_monitor import GateEvent
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import track_at
-from cognitivedrone.tasks.scenario import suite_of
+from cognitivedrone.tasks.suites import suite_of
 from cognitivedrone.types import Task
 from cognitivedrone.vehicles.mavlink.server.vehicle import SimulatedVehicle, VehicleConfig, serve
 

@@ -21,7 +21,7 @@ from rich.text import Text
 
 from cognitivedrone.benchmark.config import PredictPlan
 from cognitivedrone.benchmark.reports.tables import DASH, new_table, words
-from cognitivedrone.benchmark.runs.provenance import platform_facts
+from cognitivedrone.benchmark.runs.job import platform_facts
 from cognitivedrone.benchmark.runs.runner import results_folder
 from cognitivedrone.benchmark.scores.codec import dumps
 from cognitivedrone.benchmark.scores.results import versions, write_whole

@@ -16,12 +16,12 @@ from typing import Final
 
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.scores.codec import decode, dumps, encode, read_document
-from cognitivedrone.benchmark.scores.possible import impossible
 from cognitivedrone.benchmark.scores.results import FILES, RunFacts, check_options, write_whole
+from cognitivedrone.benchmark.scores.run_types import impossible
 from cognitivedrone.benchmark.scores.scoring import Interval, Summary, mean_of, score, summarize
 from cognitivedrone.errors import RunError
 from cognitivedrone.tasks import SUITES, load_suite
-from cognitivedrone.tasks.scenario import chain
+from cognitivedrone.tasks.suites import chain
 from cognitivedrone.text.printable import unprintable, visible
 from cognitivedrone.types import CATEGORIES, Category, EpisodeResult, Outcome, StageResult, Track
 

@@ -30,7 +30,7 @@ def bench(plan: Annotated[Flat[Plan], tyro.conf.arg(name="")]) -> None:
     """
     from cognitivedrone.benchmark.reports.tables import results_table
     from cognitivedrone.benchmark.runs.runner import out_of, run
-    from cognitivedrone.tasks.scenario import how_many
+    from cognitivedrone.tasks.suites import how_many
     from cognitivedrone.terminal import console
 
     screen = console()
@@ -160,9 +160,8 @@ def audit(plan: Annotated[Flat[AuditPlan], tyro.conf.arg(name="")]) -> None:
       cognitivedrone audit --policy small --reasoner small
       cognitivedrone audit --policy my_module:MyPolicy --episodes 50 --only "no question" wind
     """
-    from cognitivedrone.audit.report import PAGE_FILE, audit_table, render_audit
+    from cognitivedrone.audit.run import PAGE_FILE, audit_table, folder_of, render_audit
     from cognitivedrone.audit.run import audit as fly_all
-    from cognitivedrone.audit.run import folder_of
     from cognitivedrone.benchmark.scores.results import write_whole
     from cognitivedrone.terminal import console
 
@@ -328,7 +327,7 @@ def view(plan: Annotated[Flat[ViewPlan], tyro.conf.arg(name="")]) -> None:
     """Draw what the drone sees at the start of a task, with a chase view and a top view."""
     from cognitivedrone.envs.captions import readable
     from cognitivedrone.envs.snapshot import snapshot
-    from cognitivedrone.tasks.scenario import suite_of
+    from cognitivedrone.tasks.suites import suite_of
 
     suite = suite_of(plan.scenario, plan.episode + 1)
     task = snapshot(suite, plan.episode, plan.out, plan.scenario)

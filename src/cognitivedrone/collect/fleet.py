@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone.adapters import as_policy
 from cognitivedrone.choices import AppearanceName
-from cognitivedrone.collect.perturbation import Disturbance, disturb, draw_beginning, draw_disturbances
-from cognitivedrone.collect.recipe import Recipe
+from cognitivedrone.collect.recipe import Disturbance, Recipe, disturb, draw_beginning, draw_disturbances
 from cognitivedrone.control.calls import begin_stage, check_chunk, seed_of
 from cognitivedrone.data.episode import Conditions, Episode, encode_image
 from cognitivedrone.envs.track_runner import TrackConfig, episode_rng

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from cognitivedrone.data.disk import write_text
 from cognitivedrone.data.episode import Episode, decode_image, encode_image
+from cognitivedrone.data.manifest import write_text
 from cognitivedrone.data.overview import ACTION_NAMES, FamilyCount, Histogram, megabytes, overview
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError

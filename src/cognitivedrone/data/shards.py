@@ -18,9 +18,8 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from cognitivedrone import files
-from cognitivedrone.data.disk import MAX_SHARD_BYTES, MAX_TEXT_BYTES, clear_errors, write_atomically
 from cognitivedrone.data.episode import Conditions, Episode
-from cognitivedrone.data.manifest import check_footer
+from cognitivedrone.data.manifest import MAX_SHARD_BYTES, MAX_TEXT_BYTES, check_footer, clear_errors, write_atomically
 from cognitivedrone.data.statistics import Flown
 from cognitivedrone.errors import CognitiveDroneError, DataError
 from cognitivedrone.tasks.format import task_from_json, task_to_json

@@ -29,9 +29,8 @@ from typing import Any, ClassVar, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from cognitivedrone.data.disk import read_json, sha256_of
 from cognitivedrone.data.episode import Episode, Split, decode_image
-from cognitivedrone.data.manifest import MANIFEST, STATISTICS, check_sum, read_manifest
+from cognitivedrone.data.manifest import MANIFEST, STATISTICS, check_sum, read_json, read_manifest, sha256_of
 from cognitivedrone.data.shards import ShardFile, flown_in, tasks_in
 from cognitivedrone.data.statistics import SPLITS
 from cognitivedrone.errors import DataError, did_you_mean

@@ -9,16 +9,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
-from cognitivedrone.data.disk import (
-    clear_errors,
-    json_text,
-    read_json,
-    read_text,
-    sha256_of,
-    write_atomically,
-    write_json,
-    write_text,
-)
 from cognitivedrone.data.episode import Episode
 from cognitivedrone.data.manifest import (
     FORMAT,
@@ -32,15 +22,23 @@ from cognitivedrone.data.manifest import (
     Receipt,
     check_format,
     check_same_making,
+    clear_errors,
     head_of,
     is_sound,
+    json_text,
     making_of,
     making_recorded,
+    read_json,
+    read_text,
     receipt_name,
     receipt_text,
+    sha256_of,
     shard_name,
     states,
     sums_text,
+    write_atomically,
+    write_json,
+    write_text,
 )
 from cognitivedrone.data.shards import ShardFile, flown_in, tasks_in, write_shard_file
 from cognitivedrone.data.statistics import draw_splits, statistics

@@ -17,10 +17,10 @@ from typing import Any, Final
 import numpy as np
 from PIL import Image as PillowImage
 
-from cognitivedrone.data.disk import MAX_TEXT_BYTES, json_text, read_json, read_text, sha256_of
 from cognitivedrone.data.episode import Encoding, Episode
 from cognitivedrone.data.manifest import (
     MANIFEST,
+    MAX_TEXT_BYTES,
     PARTIAL,
     SHARDS,
     STATISTICS,
@@ -29,11 +29,15 @@ from cognitivedrone.data.manifest import (
     check_format,
     check_manifest,
     head_of,
+    json_text,
     making_of,
+    read_json,
     read_manifest,
     read_sums,
+    read_text,
     receipt_name,
     receipt_text,
+    sha256_of,
 )
 from cognitivedrone.data.shards import WIDTHS, ShardFile, flown_in, tasks_in
 from cognitivedrone.data.statistics import splits_again, statistics

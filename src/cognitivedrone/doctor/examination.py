@@ -11,6 +11,7 @@ import itertools
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from cognitivedrone.doctor.subject import (
     Answer,
     Finding,
     ImageChange,
+    LabelledView,
     Numbers,
     Question,
     StateChange,
@@ -36,9 +38,10 @@ from cognitivedrone.doctor.subject import (
     with_image,
     with_images,
 )
-from cognitivedrone.doctor.views import LabelledView
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.types import CONTROL_HZ
+
+_T = TypeVar("_T")
 
 LONGEST_CHUNK = 2 * CONTROL_HZ
 """Control steps that may be flown without looking."""
@@ -284,12 +287,20 @@ class _Examination:
 
     def heeds_other_images(self, sentences: list[list[Question]]) -> bool:
         """Whether its answers differ by sentence once the images come in another order: these are wrong, then."""
-        found = False
-        for change in IMAGES.values():
-            self.image_fix = change
+
+        def heeds() -> bool:
             first, *others = [self.commands(questions) for questions in sentences]
-            found |= max(distance(first, other) for other in others) > SLIGHT * size(first)
-        self.image_fix = unchanged
+            return max(distance(first, other) for other in others) > SLIGHT * size(first)
+
+        return any(self.put_right("image_fix", IMAGES, heeds).values())
+
+    def put_right(self, part: str, changes: Mapping[str, Any], ask: Callable[[], _T]) -> dict[str, _T]:
+        """What `ask` gives with each change of the input in turn, by its name; `part` is `image_fix` or `state_fix`."""
+        found = {}
+        for name, change in changes.items():
+            setattr(self, part, change)
+            found[name] = ask()
+        setattr(self, part, unchanged)
         return found
 
     # ---- whether its commands mean what ours do
@@ -299,14 +310,11 @@ class _Examination:
             return "unknown", hidden
         plain = self.agreement()
         if plain < WELL:
-            found = {}
-            for name, change in IMAGES.items():
-                self.image_fix = change
-                found[name] = self.agreement()
+            found = self.put_right("image_fix", IMAGES, self.agreement)
             name = max(found, key=lambda each: found[each])
-            self.image_fix = unchanged
-            state = self.by_state() if found[name] >= AGREES else 0.0
-            if max(AGREES, state) <= found[name] and 1 - found[name] < EXPLAINS * (1 - plain):
+            # If a change of the state is better, the image is not what is wrong.
+            by_state = self.put_right("state_fix", STATES, self.agreement) if found[name] >= AGREES else {"": 0.0}
+            if max(AGREES, *by_state.values()) <= found[name] and 1 - found[name] < EXPLAINS * (1 - plain):
                 self.image_fix, self.explained = IMAGES[name], True
                 also = "; or the signs of vy and yaw_rate are both inverted" if "mirrored" in name else ""
                 return "wrong", (
@@ -317,15 +325,6 @@ class _Examination:
             return "unknown", f"no other order suits it better (agreement with the expert {plain:.2f} of 1)"
         return "good", f"it turns to the gate that is asked for (agreement with the expert {plain:.2f} of 1)"
 
-    def by_state(self) -> float:
-        """The best agreement that a change of the state gives: if it is better, the image is not what is wrong."""
-        found = []
-        for change in STATES.values():
-            self.state_fix = change
-            found.append(self.agreement())
-        self.state_fix = unchanged
-        return max(found)
-
     def state(self) -> Answer:
         if hidden := self.hidden(self.blind or self.deaf):
             return "unknown", hidden
@@ -334,12 +333,9 @@ class _Examination:
         away = self.commands([replace(q, state=np.array([-1.0, 1.0, 0.5, 2.5, -0.5])) for q in questions])
         if distance(plain, away) <= SAME:
             return "good", "it does not use velocity, height or yaw rate"
-        error, found = distance(plain, expected), dict[str, float]()
-        for name, change in STATES.items():
-            self.state_fix = change
-            found[name] = distance(self.commands(questions), expected)
+        error = distance(plain, expected)
+        found = self.put_right("state_fix", STATES, lambda: distance(self.commands(questions), expected))
         best, *others = sorted(found, key=lambda each: found[each])
-        self.state_fix = unchanged
         if found[best] < EXPLAINS * error:
             self.state_fix, self.explained = STATES[best], True
             # A policy that hardly uses some of the numbers cannot show which of them took whose place.

@@ -7,8 +7,7 @@ from contextlib import closing
 from rich.text import Text
 
 from cognitivedrone.doctor.examination import examine
-from cognitivedrone.doctor.subject import Subject, Verdict
-from cognitivedrone.doctor.views import look_around
+from cognitivedrone.doctor.subject import Subject, Verdict, look_around
 from cognitivedrone.policies import make_policy
 from cognitivedrone.system.interrupts import watched
 from cognitivedrone.terminal import console

@@ -26,8 +26,7 @@ from cognitivedrone.plan import Scenario
 from cognitivedrone.sim.airframe import Airframe, find_airframe
 from cognitivedrone.sim.drawing.chase import LIVE_SIZE, ChaseView
 from cognitivedrone.tasks import UNLIMITED, Suite
-from cognitivedrone.tasks.scenario import suite_of
-from cognitivedrone.tasks.suites import TRAIN_NAME
+from cognitivedrone.tasks.suites import TRAIN_NAME, suite_of
 from cognitivedrone.types import CONTROL_HZ, Action, GroundTruth, Image, Stage, StageResult
 
 Camera: TypeAlias = Literal["drone", "chase"]

@@ -11,7 +11,6 @@ Everything that is named from outside is opened, written and removed here, and n
 | `create`, `append` | a file that grows, such as a log, through no link |
 | `remove`, `remove_left_over` | remove, through no link |
 | `writing` | tells in one sentence that a disk is full |
-| `take_lock` | the exclusive lock of what is open |
 | `is_hidden`, `own_files` | what systems and editors leave in folders, and the user's own files |
 | `natural_order` | sorts names as people count |
 """
@@ -200,7 +199,7 @@ def replacing(path: Path) -> Iterator[Path]:
     try:
         if system.MOVES_OPEN_FILES:
             with contextlib.suppress(OSError):  # of a file system without locks
-                take_lock(descriptor)  # until it is closed, `remove_left_over` leaves it alone
+                system.lock(descriptor)  # until it is closed, `remove_left_over` leaves it alone
         else:
             opened.close()
         yield temporary
@@ -359,20 +358,11 @@ def _is_being_written(path: Path) -> bool:
     except OSError:
         return True  # gone, or none of ours
     try:
-        return not take_lock(descriptor)
+        return not system.lock(descriptor)
     except OSError:  # a file system without locks: nobody knows
         return False
     finally:
         os.close(descriptor)
-
-
-def take_lock(descriptor: int) -> bool:
-    """Take the exclusive lock of an open file or folder; False if another process holds it.
-
-    The operating system frees it when the last copy of the descriptor is closed, however its process ends. Raises
-    `OSError` if the file system has no locks.
-    """
-    return system.lock(descriptor)
 
 
 @contextlib.contextmanager

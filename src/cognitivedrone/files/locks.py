@@ -13,7 +13,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from cognitivedrone import files, system
+from cognitivedrone import system
 from cognitivedrone.errors import CognitiveDroneError, UsageError
 
 LOCK_FILE = ".lock"
@@ -28,7 +28,7 @@ def take_lock(descriptor: int, place: Path, error: type[CognitiveDroneError]) ->
     `error` if the file system has no locks.
     """
     try:
-        return files.take_lock(descriptor)
+        return system.lock(descriptor)
     except OSError as refused:
         raise error(_no_locks(place, refused)) from None
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Final
 
 from cognitivedrone import system
-from cognitivedrone.files import take_lock
 
 PREFIX: Final = "cognitivedrone-"
 _OWNER: Final = ".owner"
@@ -44,7 +43,7 @@ def _claim(folder: Path) -> int:
     if not system.MOVES_OPEN_FILES:
         return descriptor  # nobody can remove it while it is open
     try:
-        if take_lock(descriptor):
+        if system.lock(descriptor):
             beginning.rename(folder / _OWNER)
     except OSError:  # a file system without locks: nothing is ever swept there
         beginning.unlink(missing_ok=True)
@@ -76,7 +75,7 @@ def _sweep(parent: str) -> None:
         except OSError:
             continue  # somebody else's folder of such a name, or removed meanwhile
         try:
-            if stat.S_ISREG(os.fstat(descriptor).st_mode) and take_lock(descriptor):
+            if stat.S_ISREG(os.fstat(descriptor).st_mode) and system.lock(descriptor):
                 shutil.rmtree(folder, ignore_errors=True)
         except OSError:
             continue

@@ -1,15 +1,20 @@
-"""The film of a flight, 1280 x 720, and `flight.html`, the page that shows it with what happened when."""
+"""The film of a flight, 1280 x 720, and `flight.html`, the page that shows it with what happened when.
+
+Writing and reading H.264 in MP4, which every browser plays.
+"""
 
 from __future__ import annotations
 
+import io
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Final
 
+import av
 import numpy as np
 from PIL import Image as PillowImage
 from PIL import ImageDraw
@@ -30,13 +35,52 @@ from cognitivedrone.film.overlays import (
     end_card,
 )
 from cognitivedrone.film.overlays import WIDTH as CLIP_WIDTH
-from cognitivedrone.film.video import FILM, write_mp4
 from cognitivedrone.sim.airframe import RACER, Airframe
 from cognitivedrone.sim.drawing.chase import FILM_SIZE, ChaseView
 from cognitivedrone.text.pages import render_page
 from cognitivedrone.text.printable import visible
 from cognitivedrone.types import CONTROL_HZ, FloatArray, Image, SeenPanel, Vector
 from cognitivedrone.world import geometry
+
+CLIP: Final = {"crf": "30", "preset": "veryfast", "threads": "1"}
+"""x264 settings: about 10 kB per second of a clip. One thread, because the output depends on the number of threads."""
+FILM: Final = {"crf": "23", "preset": "veryfast", "movflags": "+faststart", "threads": "1"}
+
+
+def write_mp4(frames: Iterable[Image], out: Path | io.BytesIO, fps: int, settings: dict[str, str]) -> int:
+    """Encode frames (H, W, 3) uint8 RGB, H and W even; returns their number. Nothing is written for no frames."""
+    rest = iter(frames)
+    first = next(rest, None)
+    if first is None:
+        return 0
+    coding = {key: value for key, value in settings.items() if key != "movflags"}
+    options = {key: value for key, value in settings.items() if key == "movflags"}
+    with av.open(out if isinstance(out, io.BytesIO) else str(out), "w", format="mp4", options=options) as container:
+        stream = container.add_stream("libx264", rate=fps, options=coding)
+        stream.height, stream.width = first.shape[:2]
+        stream.pix_fmt = "yuv420p"
+        count = 0
+        for frame in itertools.chain([first], rest):
+            picture = av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")
+            container.mux(stream.encode(picture))
+            count += 1
+        container.mux(stream.encode())
+    return count
+
+
+def encode_mp4(frames: Iterable[Image], fps: int = CONTROL_HZ) -> bytes:
+    """A small clip; empty for no frames. Frames are (H, W, 3) uint8 RGB, H and W even."""
+    buffer = io.BytesIO()
+    write_mp4(frames, buffer, fps, CLIP)
+    return buffer.getvalue()
+
+
+def read_mp4(path: Path) -> Iterator[Image]:
+    """The frames (H, W, 3) uint8 RGB of a film, one by one."""
+    with av.open(str(path)) as container:
+        for frame in container.decode(video=0):
+            yield frame.to_ndarray(format="rgb24")
+
 
 FPS: Final = 2 * CONTROL_HZ
 """Of films: the chase view shows an intermediate pose between two control steps."""

@@ -21,7 +21,7 @@ from cognitivedrone.errors import ActionError, TaskError, did_you_mean
 from cognitivedrone.plan import Scenario
 from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.tasks import Suite
-from cognitivedrone.tasks.scenario import suite_of
+from cognitivedrone.tasks.suites import suite_of
 from cognitivedrone.types import CONTROL_HZ, FloatArray, Image, Outcome, StageResult, Track
 
 CAMERA: Final = "front"

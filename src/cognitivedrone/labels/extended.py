@@ -19,11 +19,9 @@ from PIL import Image
 
 from cognitivedrone import types
 from cognitivedrone.errors import LabelError, did_you_mean
-from cognitivedrone.labels.images import SIDE, draw_several, frozen_array
-from cognitivedrone.labels.people import BACKGROUNDS
-from cognitivedrone.labels.portraits import draw_portrait
+from cognitivedrone.labels.images import SIDE, draw_several, frozen_array, split_weather, weathered
+from cognitivedrone.labels.people import BACKGROUNDS, draw_portrait
 from cognitivedrone.labels.shipped import ShippedPack, shipped_pack
-from cognitivedrone.labels.weather import split_weather, weathered
 from cognitivedrone.references import Reference, parse_reference, person_hand
 from cognitivedrone.text.json_text import parse_json
 

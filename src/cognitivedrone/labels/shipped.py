@@ -11,9 +11,8 @@ from PIL import Image
 
 from cognitivedrone import types
 from cognitivedrone.errors import LabelError, did_you_mean
-from cognitivedrone.labels.images import SIDE, draw_several, frozen_array
+from cognitivedrone.labels.images import LONGEST_SUM, SIDE, draw_several, frozen_array, is_sum, sum_panel, text_panel
 from cognitivedrone.labels.people import BACKGROUNDS, draw_person
-from cognitivedrone.labels.text import LONGEST_SUM, is_sum, sum_panel, text_panel
 from cognitivedrone.references import Reference, parse_reference
 from cognitivedrone.text.json_text import parse_json
 

@@ -22,8 +22,8 @@ from cognitivedrone.film.frame import Scene, scenes_of
 from cognitivedrone.frames import quaternion_from_yaw, rotate_yaw
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.pilot import Pilot
-from cognitivedrone.play.channels import Channels
 from cognitivedrone.play.chase import ChaseProcess, jpeg
+from cognitivedrone.play.server import Channels
 from cognitivedrone.policies.small import Small
 from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.sim.airframe import RACER, Airframe

@@ -16,9 +16,8 @@ from cognitivedrone.apps.orders import LONGEST, Orders
 from cognitivedrone.apps.values import Ending
 from cognitivedrone.errors import ServerError
 from cognitivedrone.play.board import LiveBoard
-from cognitivedrone.play.channels import Channels
 from cognitivedrone.play.config import PageSpec
-from cognitivedrone.play.server import Controls, serving_page
+from cognitivedrone.play.server import Channels, Controls, serving_page
 from cognitivedrone.serving.access import token_of
 from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.text.printable import shown_address

@@ -1,34 +1,195 @@
-"""Serves the page, its pictures and films, and a websocket with what is shown and what people say, from a thread."""
+"""Serves the page, its pictures and films, and a websocket with what is shown and what people say, from a thread.
+
+The newest message of every channel: a slow reader misses messages, and no writer ever waits for a reader.
+
+Who may open the page: this machine's own browser, by address and origin; others with a token.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import hmac
 import json
 import socket
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final
-from urllib.parse import quote
+from urllib.parse import parse_qs, quote, unquote
 
 import uvicorn
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import Headers
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from cognitivedrone.errors import CognitiveDroneError, ServerError
 from cognitivedrone.files import reason_of
 from cognitivedrone.pictures import MAX_FILE_BYTES
-from cognitivedrone.play.access import Guarded
-from cognitivedrone.play.channels import Channels, Reader
 from cognitivedrone.play.config import PageSpec
 from cognitivedrone.text.json_text import parse_json
+
+
+class Channels:
+    """Written by any thread; read by the coroutines of the server."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._newest: dict[str, tuple[int, str | bytes]] = {}
+        self._readers: set[Reader] = set()
+
+    @property
+    def viewers(self) -> int:
+        """Number of readers."""
+        return len(self._readers)
+
+    def put(self, channel: str, message: str | bytes) -> None:
+        """Replace the message of a channel, unless it is the same."""
+        with self._lock:
+            version, before = self._newest.get(channel, (0, None))
+            if message == before:
+                return
+            self._newest[channel] = version + 1, message
+            readers = list(self._readers)
+        for reader in readers:
+            reader.wake()
+
+    def publish(self, channel: str, values: Mapping[str, Any]) -> None:
+        """As `put`, for a table: a JSON message with the channel's name."""
+        self.put(channel, json.dumps({"channel": channel, **values}, separators=(",", ":")))
+
+    def newest(self, channel: str) -> str | bytes | None:
+        """The message of a channel, if it has one."""
+        with self._lock:
+            return self._newest.get(channel, (0, None))[1]
+
+    def enter(self, reader: Reader) -> None:
+        """Add a reader; at once it gets what there is."""
+        with self._lock:
+            self._readers.add(reader)
+
+    def leave(self, reader: Reader) -> None:
+        """Remove a reader."""
+        with self._lock:
+            self._readers.discard(reader)
+
+    def after(self, seen: dict[str, int]) -> list[str | bytes]:
+        """The messages that are newer than `seen`, which is updated; texts first."""
+        with self._lock:
+            fresh = {name: found for name, found in self._newest.items() if found[0] != seen.get(name)}
+        seen.update({name: version for name, (version, _) in fresh.items()})
+        return sorted((message for _, message in fresh.values()), key=lambda message: isinstance(message, bytes))
+
+
+class Reader:
+    """One reader, in an event loop of its own thread."""
+
+    def __init__(self, channels: Channels) -> None:
+        self._channels = channels
+        self._loop = asyncio.get_running_loop()
+        self._news = asyncio.Event()
+        self._seen: dict[str, int] = {}
+        self._news.set()
+
+    def wake(self) -> None:
+        """Tell it of news; from any thread."""
+        if not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self._news.set)
+
+    async def read(self) -> list[str | bytes]:
+        """Wait for messages that it has not read yet."""
+        await self._news.wait()
+        self._news.clear()
+        return self._channels.after(self._seen)
+
+
+COOKIE: Final = "cognitivedrone"
+_OURS: Final = ("127.0.0.1", "localhost", "[::1]")
+_POLICY: Final = (
+    "default-src 'self'; img-src 'self' blob: data:; media-src 'self'; connect-src 'self'; style-src 'self';"
+    " frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+)
+
+
+class Guarded:
+    """An ASGI application that only whom it knows can reach.
+
+    A page of somebody else could reach this machine's servers from its browser: by a request to our address, whose
+    header Origin is theirs, or by a name of theirs that stands for our address, whose header Host is theirs.
+    """
+
+    def __init__(self, app: Any, port: int, host: str, token: str | None, origins: Collection[str] = ()) -> None:
+        """`origins` are addresses of a proxy or a tunnel, by which browsers reach the page."""
+        self._app, self._token = app, token
+        self._origins = {origin.rstrip("/").lower() for origin in origins}
+        self._cookie = f"{COOKIE}-{port}"  # a browser sends the cookies of a host to all of its ports
+        names = {*_OURS, host, f"[{host}]"}
+        self._address = f"{host}:{port}" if host in names - {"", "0.0.0.0", "::"} else f"127.0.0.1:{port}"  # noqa: S104
+        self._hosts = {f"{name}:{port}" for name in names} | (names if port == 80 else set())
+        self._hosts |= {origin.partition("://")[2] for origin in self._origins}
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        """As an ASGI application."""
+        if scope["type"] not in ("http", "websocket"):
+            return
+        headers = Headers(scope=scope)
+        problem = self._problem(headers, scope)
+        if problem:
+            if scope["type"] == "websocket":
+                await send({"type": "websocket.close", "code": 1008, "reason": problem[:120]})
+            else:
+                await PlainTextResponse(problem + "\n", 403)(scope, receive, send)
+            return
+        await self._app(scope, receive, self._marked(send))
+
+    def _problem(self, headers: Headers, scope: Any) -> str:
+        host = headers.get("host", "")
+        if self._token is None and host not in self._hosts:
+            return (
+                f"this page is served at {self._address}, not at {host[:80]!r}; open that address, or, through a "
+                f"tunnel or a proxy, start it with --origin http://{host[:80]} or with a token"
+            )
+        origin = headers.get("origin")
+        if origin is not None and origin.partition("://")[2] != host and origin.lower() not in self._origins:
+            return (
+                "another page tried to use this one; open it by its own address, or, behind a proxy, start it with "
+                f"--origin {origin[:80]}"
+            )
+        if self._token is not None and not self._knows(headers, scope):
+            return "this page needs its token: open the address that the command printed, which ends in ?token=..."
+        return ""
+
+    def _knows(self, headers: Headers, scope: Any) -> bool:
+        query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
+        cookies = (part.strip().partition("=") for part in headers.get("cookie", "").split(";"))
+        sent = [*query.get("token", []), *(unquote(value) for name, _, value in cookies if name == self._cookie)]
+        return any(hmac.compare_digest(each.encode("utf-8", "replace"), (self._token or "").encode()) for each in sent)
+
+    def _marked(self, send: Callable[[Any], Any]) -> Callable[[Any], Any]:
+        """Sends with headers that keep other pages out, and the token as a cookie for what the page loads."""
+
+        async def marked(message: Any) -> None:
+            if message["type"] == "http.response.start":
+                extra = [
+                    (b"content-security-policy", _POLICY.encode()),
+                    (b"x-content-type-options", b"nosniff"),
+                    (b"referrer-policy", b"no-referrer"),
+                    (b"cache-control", b"no-store"),
+                ]
+                if self._token is not None:
+                    cookie = f"{self._cookie}={quote(self._token, safe='')}; HttpOnly; SameSite=Strict; Path=/"
+                    extra.append((b"set-cookie", cookie.encode()))
+                message = {**message, "headers": [*message.get("headers", []), *extra]}
+            await send(message)
+
+        return marked
+
 
 VIEWERS: Final = 16
 """Maximum number of open pages."""

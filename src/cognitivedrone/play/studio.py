@@ -28,15 +28,14 @@ from cognitivedrone.labels import load_pack
 from cognitivedrone.pilot import Pilot, open_pilot
 from cognitivedrone.plan import PilotSpec
 from cognitivedrone.play.board import LiveBoard
-from cognitivedrone.play.channels import Channels
 from cognitivedrone.play.config import PlayPlan
 from cognitivedrone.play.flight import FlightControls, command_line
-from cognitivedrone.play.lesson import Lesson
-from cognitivedrone.play.pictures import PANELS, Picture, keep_picture, own_scene, renamed
+from cognitivedrone.play.lesson import PANELS, Lesson, Picture, keep_picture, own_scene, renamed
+from cognitivedrone.play.server import Channels
 from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import SUITES
-from cognitivedrone.tasks.scenario import suite_of
+from cognitivedrone.tasks.suites import suite_of
 from cognitivedrone.terminal import console
 from cognitivedrone.types import Task
 

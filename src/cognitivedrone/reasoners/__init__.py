@@ -15,9 +15,9 @@ from cognitivedrone.interfaces import Reasoner
 REASONERS: dict[str, str] = {
     "small": "cognitivedrone.reasoners.small:SmallReasoner",
     "oracle": "cognitivedrone.reasoners.oracle:Oracle",
-    "noisy-oracle": "cognitivedrone.reasoners.noisy_oracle:NoisyOracle",
+    "noisy-oracle": "cognitivedrone.reasoners.oracle:NoisyOracle",
     "replay": "cognitivedrone.reasoners.replay:Replay",
-    "published": "cognitivedrone.reasoners.published:Published",
+    "published": "cognitivedrone.reasoners.replay:Published",
     "vlm": "cognitivedrone.reasoners.vlm:Vlm",
     "remote": "cognitivedrone.reasoners.remote:Remote",
     "vlm-local": "cognitivedrone.reasoners.vlm_local:LocalVlm",

@@ -1,18 +1,28 @@
-"""The replay reasoner: gives recorded answers from a file, such as those of another machine."""
+"""The replay reasoner: gives recorded answers from a file, such as those of another machine.
+
+The answers of the published reasoner (arXiv 2503.01378), from the files of its evaluation: the paper's R1.
+
+`published:PATH` takes `after_reasoning`, a folder around it such as the checkout, or one of its files. Each task there
+has the key `prompt_after_reasoning`, what the paper's policy was told; tasks are matched by prompt, options and gates,
+since their order differs.
+"""
 
 from __future__ import annotations
 
 import errno
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final, get_args
 
-from cognitivedrone.errors import GroundTruthError, PluginError, ReasonerError, ReasonerFault, did_you_mean
-from cognitivedrone.files import check_regular, read_regular, reason_of
+from cognitivedrone.errors import PluginError, ReasonerError, ReasonerFault, TaskError, did_you_mean
+from cognitivedrone.files import check_regular, own_files, read_regular, reason_of
 from cognitivedrone.files.texts import decoded
-from cognitivedrone.interfaces import Reasoner
+from cognitivedrone.reasoners.oracle import TaskReasoner
+from cognitivedrone.tasks.directives import fitting_gate
+from cognitivedrone.tasks.format import read_json, task_from_json
+from cognitivedrone.tasks.published import type_of
 from cognitivedrone.text.json_text import parse_json
-from cognitivedrone.types import EpisodeContext, Guidance, Image
+from cognitivedrone.types import EpisodeContext, Gate, Guidance, Image, Task
 
 MAX_FILE_BYTES: Final = 64 * 2**20
 FAULTS: Final[tuple[ReasonerFault, ...]] = get_args(ReasonerFault)
@@ -82,21 +92,18 @@ def _entry(obj: Mapping[str, Any], where: str) -> Entry:
     return Guidance(directive, gate, float(confidence))
 
 
-class Replay(Reasoner):
+class Replay(TaskReasoner):
     """Gives the answers of a file and ignores the image. Several answers to a task follow in order; the last repeats.
 
     The simulator supplies the id of the current task. A recorded fault is raised as that fault; a task that is not in
     the file, as `unsure`.
     """
 
-    reads_english_only = True
-
-    needs_ground_truth = True
+    name = "replay"
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
         self.answers = read_answers(self.path)
-        self._task: str | None = None
         self._given = 0
 
     @classmethod
@@ -109,19 +116,78 @@ class Replay(Reasoner):
         return Path(path)
 
     def reset(self, context: EpisodeContext) -> None:
-        """Take the id of the current task, and start with its first answer."""
-        self._task = context.ground_truth.task.id if context.ground_truth else None
+        """Take the current task, and start with its first answer."""
+        super().reset(context)
         self._given = 0
 
     def refine(self, image: Image, instruction: str) -> Guidance:
         """The next answer to the current task; raises `ReasonerError` if it is a fault, or there is none."""
-        if self._task is None:
-            raise GroundTruthError("the replay reasoner needs the id of the task, which only a simulator knows")
-        entries = self.answers.get(self._task)
+        entries = self.answers.get(self.task.id)
         if entries is None:
-            raise ReasonerError("unsure", f"{self.path} has no answer for task {self._task!r}")
+            raise ReasonerError("unsure", f"{self.path} has no answer for task {self.task.id!r}")
         entry = entries[min(self._given, len(entries) - 1)]
         self._given += 1
         if isinstance(entry, Guidance):
             return entry
-        raise ReasonerError(entry, f"{self.path} answers task {self._task!r} with the fault {entry!r}")
+        raise ReasonerError(entry, f"{self.path} answers task {self.task.id!r} with the fault {entry!r}")
+
+
+ANSWER = "prompt_after_reasoning"
+_Key = tuple[str, tuple[str, ...], tuple[Gate, ...]]
+
+
+def answer_files(path: Path) -> list[Path]:
+    """The files with answers: the one given, or those below a folder; raises `PluginError` where there is none."""
+    files = [path] if path.is_file() else own_files(path, "**/*_updated.json") if path.is_dir() else []
+    if not files:
+        raise PluginError(
+            f"published: {path} holds no <Type>_updated.json; give the published eval_after_reasoning/after_reasoning,"
+            " or the checkout"
+        )
+    return files
+
+
+class Published(TaskReasoner):
+    """Gives the published answer to the current task; one to a task that is not in the files is the fault `unsure`."""
+
+    name = "published"
+    reads_folder = True
+    """Its file may be a folder of files."""
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        self.answers: dict[_Key, str] = {}
+        for file in answer_files(self.path):
+            for key, answer in _answers(file):
+                self.answers.setdefault(key, answer)
+
+    @classmethod
+    def file_of(cls, path: Path | str) -> Path:
+        """The file or folder of answers, which is part of a run's identity; raises `PluginError` as `answer_files`."""
+        answer_files(Path(path))
+        return Path(path)
+
+    def refine(self, image: Image, instruction: str) -> Guidance:
+        """The answer to the current task; raises `ReasonerError` if there is none."""
+        answer = self.answers.get(_key(self.task))
+        if answer is None:
+            raise ReasonerError("unsure", f"{self.path} has no answer for task {self.task.id!r}")
+        return Guidance(answer, fitting_gate(answer, self.task.gates), 1.0)
+
+
+def _key(task: Task) -> _Key:
+    return task.instruction, task.options, task.gates
+
+
+def _answers(file: Path) -> Iterator[tuple[_Key, str]]:
+    try:
+        content: Any = read_json(file)
+        name, known = type_of(file)
+        for index, obj in enumerate(content if isinstance(content, list) else [content]):
+            task = task_from_json(obj, where=f"{file}[{index}]", kind=known or name)
+            answer = obj.get(ANSWER)
+            if not isinstance(answer, str) or not answer.strip():
+                raise PluginError(f"{file}[{index}]: key {ANSWER!r} is missing; it must be what the policy was told")
+            yield _key(task), answer
+    except TaskError as error:
+        raise PluginError(f"published: {error}") from None

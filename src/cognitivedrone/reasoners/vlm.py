@@ -2,7 +2,7 @@
 
 One request per answer: the frame as PNG, the prompt, and the JSON schema of the answer. Any failure is a
 `ReasonerError` of its kind, and the flight continues. A mission is cut into its sub-goals by one request before
-take-off (`mission_plan.py`). Servers: see docs/r1.md.
+take-off (`prompt.py`). Servers: see docs/r1.md.
 """
 
 from __future__ import annotations
@@ -26,15 +26,19 @@ from cognitivedrone.errors import (
 )
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.reasoners.chat import ChatServer
-from cognitivedrone.reasoners.mission_plan import PLAN_AGAIN, PLAN_SCHEMA, PLAN_TOKENS, plan_prompt, read_plan
 from cognitivedrone.reasoners.prompt import (
     AGAIN,
     ANSWER_SCHEMA,
     MAX_TOKENS,
+    PLAN_AGAIN,
+    PLAN_SCHEMA,
+    PLAN_TOKENS,
     THINKING_TOKENS,
     checked_tokens,
     load_extra,
     load_prompt,
+    plan_prompt,
+    read_plan,
     write_prompt,
 )
 from cognitivedrone.reasoners.reply import read_reply

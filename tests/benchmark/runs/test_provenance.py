@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from cognitivedrone import checkout
-from cognitivedrone.benchmark.runs.provenance import platform_facts
+from cognitivedrone.benchmark.runs.job import platform_facts
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from cognitivedrone.benchmark.runs.records import read_records
 from cognitivedrone.benchmark.runs.runner import Interrupted, command_of, out_of, run
 from cognitivedrone.errors import CognitiveDroneError, MissingExtra, RunError
 from cognitivedrone.tasks import load_suite, open_suite, write_tasks
-from cognitivedrone.tasks.scenario import chain, suite_of
+from cognitivedrone.tasks.suites import chain, suite_of
 
 RUNNER = benchmark_fakes.FakeRunner
 

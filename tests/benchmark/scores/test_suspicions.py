@@ -8,8 +8,8 @@ import benchmark_fakes
 from cognitivedrone import evaluate
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.runs.runner import run
+from cognitivedrone.benchmark.scores.comparison import suspicions
 from cognitivedrone.benchmark.scores.results import read_results
-from cognitivedrone.benchmark.scores.suspicions import suspicions
 
 
 def output(policy, **options):

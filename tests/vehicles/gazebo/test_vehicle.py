@@ -13,7 +13,7 @@ from cognitivedrone.sim.drawing.views import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.vehicles.gazebo.flight import VEHICLE
 from cognitivedrone.vehicles.gazebo.worlds.sdf import STEP_S, document
 from cognitivedrone.vehicles.gazebo.worlds.vehicle import ground_clearance, iris, parameters
-from cognitivedrone.vehicles.mavlink.client.checks.preflight import EXPECTED
+from cognitivedrone.vehicles.mavlink.client.preflight import EXPECTED
 from cognitivedrone.world.appearance import PLAIN
 
 

@@ -15,9 +15,8 @@ from cognitivedrone.models.words.text_encoder import TextEncoderModel
 from cognitivedrone.tasks import vocabulary
 from cognitivedrone.tasks.facts import FACTS, GROUPS, HEALTHY, KIND_OF, UNHEALTHY
 from cognitivedrone.tasks.families.symbols import logo_name
-from cognitivedrone.tasks.knowledge.claim import claims
-from cognitivedrone.tasks.knowledge.rows import read_rows
-from cognitivedrone.tasks.knowledge.tables import FOLDER
+from cognitivedrone.tasks.knowledge.tables import FOLDER, read_rows
+from cognitivedrone.tasks.knowledge.wordings import claims
 from cognitivedrone.types import COLORS, SHAPES
 
 LARGEST_NUMBER = 20

@@ -25,8 +25,7 @@ from cognitivedrone.tasks.generate import Draw, Panel, Puzzle
 from cognitivedrone.tasks.matching import Match, best_scene
 from cognitivedrone.tasks.missions import asked_of, is_mission, lands, shuts, sub_goals, things_of, told, way
 from cognitivedrone.tasks.people import TRAIN_CAST
-from cognitivedrone.tasks.scenario import suite_of
-from cognitivedrone.tasks.suites import drawn_task, suite_of_tasks, suite_of_tracks
+from cognitivedrone.tasks.suites import drawn_task, suite_of, suite_of_tasks, suite_of_tracks
 from cognitivedrone.types import COLORS, Gate, SubGoal, Task, Track
 
 DEFAULT = "open-v1:smoke"

@@ -22,12 +22,11 @@ import numpy as np
 
 from cognitivedrone.benchmark.config import Plan, ReasonPlan
 from cognitivedrone.benchmark.reasoning.reason_scoring import Answer, ReasonSummary, judge, summarize_answers
-from cognitivedrone.benchmark.runs.job import resolve
-from cognitivedrone.benchmark.runs.provenance import platform_facts
+from cognitivedrone.benchmark.runs.job import platform_facts, resolve
 from cognitivedrone.benchmark.runs.runner import Interrupted, results_folder
 from cognitivedrone.benchmark.scores.codec import dumps
 from cognitivedrone.benchmark.scores.results import SuiteFacts, versions, write_whole
-from cognitivedrone.benchmark.scores.transport import not_measured
+from cognitivedrone.benchmark.scores.run_types import not_measured
 from cognitivedrone.control.async_reasoner import asking, check_guidance
 from cognitivedrone.control.calls import begin_stage, seed_of
 from cognitivedrone.data.episode import decode_image

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cognitivedrone.benchmark.scores.run_types import TRANSPORT
 from cognitivedrone.benchmark.scores.scoring import Interval, wilson
-from cognitivedrone.benchmark.scores.transport import TRANSPORT
 from cognitivedrone.errors import ReasonerFault
 from cognitivedrone.tasks.directives import declines, fitting_gate, parse_directive
 from cognitivedrone.types import ALL_CATEGORIES, Category, Gate

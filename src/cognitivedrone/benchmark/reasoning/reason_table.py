@@ -10,7 +10,7 @@ from rich.text import Text
 from cognitivedrone.benchmark.reasoning.reason import ReasonResults
 from cognitivedrone.benchmark.reasoning.reason_scoring import ReasonScore
 from cognitivedrone.benchmark.reports.tables import DASH, add_parts, interval, new_table, percent, words
-from cognitivedrone.benchmark.scores.transport import TRANSPORT
+from cognitivedrone.benchmark.scores.run_types import TRANSPORT
 from cognitivedrone.text.printable import shown_address
 
 COLUMNS = ("", "n", "gate", "95 % CI", "colour", "shape", "size", "all", "faults")

@@ -9,8 +9,8 @@ from typing import Final
 
 from cognitivedrone.benchmark.scores.run_types import Rollout, Trace
 from cognitivedrone.data.episode import encode_image
+from cognitivedrone.film.movie import encode_mp4
 from cognitivedrone.film.overlays import compose
-from cognitivedrone.film.video import encode_mp4
 from cognitivedrone.types import EpisodeResult, Outcome, Track
 
 FAILURES: Final = 6

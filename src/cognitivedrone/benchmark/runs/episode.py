@@ -1,28 +1,147 @@
-"""Flies single episodes of a suite with a pilot: what every worker process of the benchmark runs."""
+"""Flies single episodes of a suite with a pilot: what every worker process of the benchmark runs.
+
+The benchmark's record of one flight: path, frames, and what the reasoner did in each stage.
+
+The flights of a run as work for a pool of `rollout.pool`.
+"""
 
 from __future__ import annotations
 
+import math
+import statistics
 import traceback
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
-from cognitivedrone.benchmark.runs.flight_log import FlightLog
-from cognitivedrone.benchmark.runs.job import Job
-from cognitivedrone.benchmark.scores.run_types import Rollout
-from cognitivedrone.control.async_reasoner import SimulatedReasoner
+from cognitivedrone.benchmark.runs.job import Job, resolve
+from cognitivedrone.benchmark.runs.records import differences
+from cognitivedrone.benchmark.scores.run_types import EpisodeRunner, Rollout, Trace
+from cognitivedrone.control.async_reasoner import ANSWER_S, SimulatedReasoner
 from cognitivedrone.control.calls import NO_WATCH, Watch, seed_of
 from cognitivedrone.control.closer_look import CloserLook
 from cognitivedrone.control.latency import TimedPolicy
 from cognitivedrone.control.loop import Segment, fly
 from cognitivedrone.control.planning import Route, plans_with
 from cognitivedrone.control.safety.guarded import GuardedDrone
-from cognitivedrone.envs.track_runner import episode_rng
-from cognitivedrone.errors import PolicyError, PolicyRaised, ReasonerError, RunError
+from cognitivedrone.envs.track_runner import TrackRunner, episode_rng, unflown
+from cognitivedrone.errors import PolicyError, PolicyRaised, ReasonerError, ReasonerFault, RunError
+from cognitivedrone.film.frame import FilmFrame
+from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.pilot import Pilot, open_pilot
-from cognitivedrone.types import EpisodeResult, Event, Guidance
+from cognitivedrone.tasks.directives import declines, fitting_gate, parse_directive
+from cognitivedrone.types import (
+    Action,
+    EpisodeResult,
+    Event,
+    FloatArray,
+    Gate,
+    Guidance,
+    Observation,
+    ReasonerReport,
+    StageResult,
+)
 from cognitivedrone.vehicles import open_vehicle
+
+FAULTS: tuple[ReasonerFault, ...] = get_args(ReasonerFault)
+
+
+@dataclass
+class _Stage:
+    """What the reasoner returned in one stage."""
+
+    first_step: int
+    directive: str | None = None
+    answers: int = 0
+    adopted: int = 0
+    late: int = 0
+    faults: Counter[str] = field(default_factory=Counter)
+    ages_s: list[float] = field(default_factory=list)
+
+
+class FlightLog:
+    """Records path, frames and directives of one flight of a track."""
+
+    def __init__(self, track_runner: TrackRunner, *, keep_frames: bool, reasoner: Reasoner | None = None) -> None:
+        self.track_runner = track_runner
+        self._reasoner = reasoner
+        self.keep_frames = keep_frames
+        self.path: list[FloatArray] = []
+        self.frames: list[FilmFrame] = []
+        self._stages: list[_Stage] = []
+        self.guidance: Guidance | None = None
+        """The directive of the last step."""
+
+    def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None:
+        """One control step."""
+        self.guidance = guidance
+        state = self.track_runner.world.state()
+        self.path.append(state.position.copy())
+        if self.keep_frames:
+            image, asked = observation.image.copy(), observation.instruction
+            stage, pose = len(self._stages) - 1, (self.path[-1], state.quaternion.copy())
+            own = self.track_runner.track[stage].instruction
+            seen = () if self._reasoner is None else tuple(self._reasoner.seen)
+            self.frames.append(FilmFrame(image, asked, guidance, action, observation.time, stage, own, *pose, seen))
+        if guidance is not None:
+            self._stages[-1].directive = guidance.directive
+            self._stages[-1].ages_s.append(guidance.age)
+
+    def note(self, event: Event) -> None:
+        """A new stage, an event of the reasoner, or the pilot declines or no longer does."""
+        if event.kind == "segment":
+            self._stages.append(_Stage(len(self.path)))
+        elif event.kind in ("declined", "resumed"):
+            self.track_runner.decline(event.kind == "declined")
+        elif event.kind in FAULTS:
+            self._stages[-1].faults[event.kind] += 1
+        elif event.kind in ("adopted", "agreed", "kept"):
+            self._stages[-1].answers += 1
+            self._stages[-1].adopted += event.kind == "adopted"
+        if event.age_s is not None and (event.kind in FAULTS or event.kind in ("adopted", "agreed", "kept")):
+            self._stages[-1].late += event.age_s > ANSWER_S
+
+    def results(self) -> tuple[StageResult, ...]:
+        """The stages' results, each with its reasoner report."""
+        results = []
+        for index, (result, task) in enumerate(zip(self.track_runner.results, self.track_runner.track, strict=True)):
+            stage = self._stages[index] if index < len(self._stages) else None
+            if stage is None or not (stage.answers or stage.faults):
+                results.append(result)
+                continue
+            report = _report(stage, result.time_s, task.gates, task.target)
+            results.append(replace(result, directive=stage.directive, reasoner=report))
+        return tuple(results)
+
+    def trace(self, decision_s: float) -> Trace:
+        """The flight path, including the last position."""
+        path = np.array([*self.path, self.track_runner.world.state().position], dtype=np.float32)
+        stages = tuple(self.track_runner.stages[: len(self._stages)])
+        return Trace(path, stages, tuple(stage.first_step for stage in self._stages), decision_s)
+
+
+def _report(stage: _Stage, seconds: float, gates: Sequence[Gate], target: int | None) -> ReasonerReport:
+    faults = sum(stage.faults.values())
+    directive = stage.directive or ""
+    directed = parse_directive(directive)
+    right = (None,) * 3 if target is None else (gates[target].size, gates[target].color, gates[target].shape)
+    size, color, shape = (None if mine is None else mine == gold for mine, gold in zip(directed, right, strict=True))
+    return ReasonerReport(
+        answers=stage.answers,
+        faults=dict(sorted(stage.faults.items())),
+        changes=max(0, stage.adopted - 1),
+        age_s=round(statistics.fmean(stage.ages_s), 4) if stage.ages_s else None,
+        rate_hz=round((stage.answers + faults) / seconds, 4) if seconds else None,
+        size=size,
+        color=color,
+        shape=shape,
+        gate=declines(directive) if target is None else fitting_gate(directive, gates) == target,
+        late=stage.late,
+    )
 
 
 class PilotRunner:
@@ -124,3 +243,51 @@ class PilotRunner:
             goal = self._route.at(runner.index)
             return Segment(runner.index, goal.instruction, truth, goal)
         return Segment(runner.index, runner.instruction, truth)  # a policy alone gets the whole mission at every stage
+
+
+MakeRunner: TypeAlias = Callable[[Job, Watch], EpisodeRunner]
+"""Found by new processes by its name in its module."""
+
+
+class Wanted(NamedTuple):
+    """A flight to make."""
+
+    episode: int
+    film: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Flights:
+    """The flights of a run, as `rollout.pool.Work`."""
+
+    job: Job
+    runner: MakeRunner = PilotRunner
+
+    @property
+    def time_limit_s(self) -> float:
+        """Of a call of policy or reasoner."""
+        return self.job.plan.decision_timeout
+
+    def open(self, watch: Watch | None = None) -> EpisodeRunner:
+        """An episode runner."""
+        return self.runner(self.job, watch or NO_WATCH)
+
+    def fly(self, worker: EpisodeRunner, item: Wanted) -> Iterator[Rollout]:
+        """One flight."""
+        yield worker.fly(item.episode, film=item.film)
+
+    def title(self, item: Wanted) -> str:
+        """The episode and its first task."""
+        return f"episode {item.episode} ({self.job.suite.tracks[item.episode][0].id})"
+
+    def lost(self, item: Wanted, message: str, trace: str) -> Rollout:
+        """A `policy_error` in the first stage of the episode; later stages count as not reached."""
+        first, *others = self.job.suite.tracks[item.episode]
+        stages = (unflown(first, "policy_error"), *(unflown(task, "not_reached") for task in others))
+        nowhere = Trace(np.empty((0, 3), np.float32), (), (), math.nan)
+        result = EpisodeResult(item.episode, self.job.plan.scenario.seed, stages, 0, message)
+        return Rollout(result, nowhere, error=trace)
+
+    def differences(self) -> str:
+        """Between the run as this machine resolves its plan, and the run that was begun."""
+        return differences(resolve(self.job.plan).facts, self.job.facts)

@@ -1,16 +1,24 @@
 """`resolve`: a plan becomes a `Job`, once; below it no name is looked up, and every worker gets the job unchanged.
 
 And the shards of a run: n equal parts, each flown on its own and joined to the others by `merge`.
+
+Provenance of a run besides its options: machine, commit, the user's own modules, command line.
 """
 
 from __future__ import annotations
 
+import importlib.util
+import os
+import platform
 import re
+import shlex
+import sysconfig
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
-from cognitivedrone import policies, reasoners, registry
+from cognitivedrone import checkout, policies, reasoners, registry, system
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.runs.provenance import own_module
 from cognitivedrone.benchmark.scores.results import FILES, REQUIRED, RunFacts, SuiteFacts, versions
 from cognitivedrone.control.latency import Delays, parse_delays
 from cognitivedrone.envs.track_runner import TrackConfig
@@ -23,13 +31,73 @@ from cognitivedrone.plan import PilotSpec, Scenario
 from cognitivedrone.policies import POLICIES, policy_files
 from cognitivedrone.reasoners import NONE, REASONERS, reasoner_files
 from cognitivedrone.sim.airframe import find_airframe
+from cognitivedrone.system.interrupts import is_ctrl_c
 from cognitivedrone.tasks import SUITES, Suite
-from cognitivedrone.tasks.scenario import suite_of
-from cognitivedrone.tasks.suites import CONDITIONS, suite_of_tracks
+from cognitivedrone.tasks.suites import CONDITIONS, suite_of, suite_of_tracks
 from cognitivedrone.types import Track
 from cognitivedrone.vehicles import autopilot_file, check_tracks, check_vehicle
 from cognitivedrone.vehicles.contract import Request
 from cognitivedrone.world.places import known_as
+
+
+def platform_facts(command: str, policy: str = "", reasoner: str = "") -> dict[str, str]:
+    """The machine, the source and the command, as text.
+
+    For a user's own policy or reasoner ("module:attribute") this includes the file of its module, and the command
+    includes the PYTHONPATH that finds it.
+    """
+    facts = {
+        "command": command,
+        "commit": checkout.commit() or "none",
+        "system": system.name(),
+        "machine": platform.machine(),
+        "processor": system.processor(),
+        "cores": str(os.cpu_count() or 1),
+    }
+    roots: list[str] = []
+    for kind, name, table in (("policy", policy, POLICIES), ("reasoner", reasoner, REASONERS)):
+        file = own_module(name, table)
+        if file is None:
+            continue
+        facts[f"{kind}_file"] = _shown(file)
+        root = _root(file, name.partition(":")[0])
+        roots += [_shown(root)] if root not in _installed() and _shown(root) not in roots else []
+    if roots:
+        facts["command"] = f"PYTHONPATH={shlex.quote(os.pathsep.join(roots))} {command}"
+    return facts
+
+
+def own_module(name: str, table: Mapping[str, str]) -> Path | None:
+    """The source file of a user's own plug-in "module:attribute"; none for names in `table`, or without a file."""
+    module, colon, _ = name.partition(":")
+    if not colon or module in table:
+        return None
+    try:
+        spec = importlib.util.find_spec(module)
+    except BaseException as error:  # whatever the user's package raises; making the plug-in reports it
+        if is_ctrl_c(error):
+            raise
+        return None
+    if spec is None or spec.origin is None or not Path(spec.origin).is_file():
+        return None
+    return Path(spec.origin).resolve()
+
+
+def _root(file: Path, module: str) -> Path:
+    """The folder on the module path that contains `module`."""
+    levels = module.count(".") + (file.name == "__init__.py")
+    return file.parents[levels]
+
+
+def _installed() -> set[Path]:
+    """Folders that need no PYTHONPATH."""
+    return {Path(path).resolve() for path in sysconfig.get_paths().values()}
+
+
+def _shown(path: Path) -> str:
+    """The path, relative to the current folder if it is inside it."""
+    here = Path.cwd().resolve()
+    return str(path.relative_to(here)) if path.is_relative_to(here) else str(path)
 
 
 @dataclass(frozen=True, order=True, slots=True)

@@ -17,9 +17,8 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from cognitivedrone.benchmark.scores.codec import decode, dumps, encode, loads
-from cognitivedrone.benchmark.scores.possible import impossible
 from cognitivedrone.benchmark.scores.results import RunFacts, write_whole
-from cognitivedrone.benchmark.scores.run_types import Rollout, Trace
+from cognitivedrone.benchmark.scores.run_types import Rollout, Trace, impossible
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import (
     append,
@@ -178,7 +177,8 @@ def _check(path: Path, facts: RunFacts, *, resume: bool, overwrite: bool) -> boo
                 f"{path} already contains a run; give --resume to continue it, --overwrite to delete it, "
                 "or another --out"
             )
-        _same_run(path, facts)
+        if differing := differences(_content_of(path / RUN_FILE), encode(facts)):
+            raise RunError(f"{path} contains another run: {differing}; give another --out, or --overwrite")
     return exists
 
 
@@ -224,13 +224,6 @@ def _content_of(file: Path) -> Any:
 def _facts_in(path: Path) -> RunFacts:
     """The identity of the run in a folder; raises `RunError`."""
     return decode(RunFacts, _content_of(path / RUN_FILE), str(path / RUN_FILE))
-
-
-def _same_run(path: Path, facts: RunFacts) -> None:
-    """Raise `RunError` unless run.json describes the same run."""
-    found = _content_of(path / RUN_FILE)
-    if differing := differences(found, encode(facts)):
-        raise RunError(f"{path} contains another run: {differing}; give another --out, or --overwrite")
 
 
 def differences(there: Any, here: Any, in_there: str = "there", in_here: str = "here") -> str:

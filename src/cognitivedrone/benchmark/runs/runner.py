@@ -15,11 +15,9 @@ from pathlib import Path
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.reports.clips import Clip, choose_clips, make_clip
 from cognitivedrone.benchmark.reports.report import REPORT_FILE, render_report
-from cognitivedrone.benchmark.runs.episode import PilotRunner
-from cognitivedrone.benchmark.runs.job import Job, parse_shard, resolve
-from cognitivedrone.benchmark.runs.provenance import platform_facts
+from cognitivedrone.benchmark.runs.episode import Flights, MakeRunner, PilotRunner, Wanted
+from cognitivedrone.benchmark.runs.job import Job, parse_shard, platform_facts, resolve
 from cognitivedrone.benchmark.runs.records import ERRORS_FOLDER, Record, RunFolder
-from cognitivedrone.benchmark.runs.workers import Flights, MakeRunner, Wanted
 from cognitivedrone.benchmark.scores.results import (
     RESULTS_FILE,
     Results,

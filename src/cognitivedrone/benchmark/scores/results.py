@@ -15,8 +15,8 @@ import cognitivedrone
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.scores.codec import decode, dumps, encode, read_document
 from cognitivedrone.benchmark.scores.published import are_papers_tasks, paper_rows
+from cognitivedrone.benchmark.scores.run_types import not_measured, unanswered
 from cognitivedrone.benchmark.scores.scoring import RULES, Summary, summarize
-from cognitivedrone.benchmark.scores.transport import not_measured, unanswered
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import replace_file, writing
 from cognitivedrone.plan import Rule

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 from typing import Final, get_args
 
 from cognitivedrone.benchmark.scores.mission_score import MissionScore, missions_of
-from cognitivedrone.benchmark.scores.transport import unanswered
+from cognitivedrone.benchmark.scores.run_types import unanswered
 from cognitivedrone.plan import Rule
 from cognitivedrone.types import (
     ALL_CATEGORIES,

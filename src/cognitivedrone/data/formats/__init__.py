@@ -40,11 +40,21 @@ FRONT_ONLY = frozenset({"published"})
 def export(episodes: Iterable[tuple[Split, Episode]], to: str, out: Path) -> int:
     """Write the episodes in the format `to`, a key of `EXPORTS` or the user's "module:attribute"; returns their number.
 
-    `out` becomes a complete data set or stays unchanged. Raises `DataError` for an unknown format, a folder that is not
-    empty, and anything that cannot be written.
+    `out` becomes a complete data set or stays unchanged. Raises `DataError` for an unknown format, no episode, a folder
+    that is not empty, and anything that cannot be written.
     """
     writer = _function("export format", to, EXPORTS)
-    return cast(int, writer(episodes, out))
+    return cast(int, writer(_some(episodes, out), out))
+
+
+def _some(episodes: Iterable[tuple[Split, Episode]], out: Path) -> Iterator[tuple[Split, Episode]]:
+    """The same episodes; raises `DataError` where there is none."""
+    count = 0
+    for split, episode in episodes:
+        count += 1
+        yield split, episode
+    if not count:
+        raise DataError(f"{out}: there is no episode to export")
 
 
 def import_(path: Path, source: str, columns: str = "") -> Iterator[tuple[Split, Episode]]:

@@ -112,8 +112,6 @@ def _export(episodes: Iterable[tuple[Split, Episode]], out: Path, *, video: bool
                 writer.write(split, episode)
         finally:
             writer.close()
-        if not writer.rows:
-            raise DataError(f"{out}: there is no episode to export")
         writer.write_meta()
     return len(writer.rows)
 

@@ -192,8 +192,6 @@ def export(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
                 for topic, stamp, message in _messages(ros, split, episode):
                     bag.write(topic, stamp, message)
             count += 1
-        if not count:
-            raise DataError(f"{out}: there is no episode to export")
     return count
 
 

@@ -77,8 +77,6 @@ def export(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
             (folder / "images").mkdir(parents=True)
             _write_flight(folder, split, episode)
             count += 1
-        if not count:
-            raise DataError(f"{out}: there is no episode to export")
     return count
 
 

@@ -79,13 +79,10 @@ def export(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
                 writers[split].write(encode_example(_features_of(split, episode)))
                 only_jpeg &= episode.encoding == "jpeg"
                 down = bool(episode.down)
-        count = sum(sum(writer.lengths) for writer in writers.values())
-        if not count:
-            raise DataError(f"{out}: there is no episode to export")
         write_json(folder / "features.json", feature_spec("jpeg" if only_jpeg else "png", down=down))
         described = [writer.describe() for writer in writers.values() if writer.lengths]
         write_json(folder / INFO, _info(described))
-    return count
+    return sum(sum(writer.lengths) for writer in writers.values())
 
 
 @dataclass(frozen=True, slots=True)

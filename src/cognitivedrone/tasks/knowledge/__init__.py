@@ -7,10 +7,9 @@ their pictures adds to them (`own_claims`).
 
 from __future__ import annotations
 
-from cognitivedrone.tasks.knowledge.claim import Claim, claims, make_claims
 from cognitivedrone.tasks.knowledge.own import own_claims
 from cognitivedrone.tasks.knowledge.tables import Entry, Property, Table, load_table, table
-from cognitivedrone.tasks.knowledge.wordings import FORMS, Phrase, Phrases, load_phrases
+from cognitivedrone.tasks.knowledge.wordings import FORMS, Claim, Phrase, Phrases, claims, load_phrases, make_claims
 
 __all__ = [
     "FORMS",

@@ -15,10 +15,17 @@ from types import MappingProxyType
 
 from cognitivedrone.errors import TaskError, did_you_mean
 from cognitivedrone.files.texts import folded
-from cognitivedrone.tasks.knowledge.claim import Claim, make_claims
-from cognitivedrone.tasks.knowledge.rows import Row, read_rows
-from cognitivedrone.tasks.knowledge.tables import EMPTY, Entry, Property, Table, parse_row, table
-from cognitivedrone.tasks.knowledge.wordings import FORMS, Phrase, Phrases, fill, load_phrases, phrases
+from cognitivedrone.tasks.knowledge.tables import EMPTY, Entry, Property, Row, Table, parse_row, read_rows, table
+from cognitivedrone.tasks.knowledge.wordings import (
+    FORMS,
+    Claim,
+    Phrase,
+    Phrases,
+    fill,
+    load_phrases,
+    make_claims,
+    phrases,
+)
 
 MAX_OWN_VALUES = 2_000
 """Most different values of all properties of the user's own."""

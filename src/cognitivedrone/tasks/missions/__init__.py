@@ -1,7 +1,7 @@
 """Missions: one sentence for a whole flight, read into sub-goals, one for each stage. Pure text."""
 
-from cognitivedrone.tasks.missions.corrections import rejects
 from cognitivedrone.tasks.missions.goals import (
+    LONGEST,
     asked_of,
     changed,
     is_mission,
@@ -11,12 +11,12 @@ from cognitivedrone.tasks.missions.goals import (
     looks_of,
     pad_directive,
     parts_of,
+    rejects,
     shuts,
     things_of,
     told,
     way,
 )
-from cognitivedrone.tasks.missions.parts import LONGEST
 from cognitivedrone.tasks.missions.reading import forbidden, forbidding, problem_of, read, sub_goals
 
 __all__ = [

@@ -20,27 +20,25 @@ from lark.exceptions import UnexpectedInput
 from lark.lexer import Lexer
 
 from cognitivedrone.tasks.missions.goals import (
-    asked_of,
-    asks_for,
-    changed,
-    is_mission,
-    lands,
-    longest,
-    looks_of,
-    pad_directive,
-    parts_of,
-    things_of,
-)
-from cognitivedrone.tasks.missions.parts import (
     IT,
     LONGEST,
     SAY,
     NotFlownError,
+    asked_of,
+    asks_for,
+    changed,
     flown,
+    is_mission,
+    lands,
+    longest,
+    looks_of,
     objects_of,
+    pad_directive,
     pad_of,
+    parts_of,
     said_in,
     sentence_of,
+    things_of,
 )
 from cognitivedrone.tasks.missions.phrases import DESCRIBES, GO, LOOK, NEGATION, STRANGE, phrases
 from cognitivedrone.types import COLORS, SHAPES, SIZES, SubGoal

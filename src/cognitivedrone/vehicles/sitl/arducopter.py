@@ -21,8 +21,8 @@ from cognitivedrone import system
 from cognitivedrone.errors import LinkError
 from cognitivedrone.files import create, open_regular, replace_file
 from cognitivedrone.sim.airframe import IRIS, Airframe
-from cognitivedrone.vehicles.mavlink.renames import with_both_names
-from cognitivedrone.vehicles.sitl.physics import LINEAR_THRUST
+from cognitivedrone.vehicles.mavlink.autopilot import with_both_names
+from cognitivedrone.vehicles.sitl.json_interface import LINEAR_THRUST
 
 T = TypeVar("T")
 

@@ -23,8 +23,7 @@ from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
 from cognitivedrone.vehicles.mavlink.client.health import PassThroughGuard
 from cognitivedrone.vehicles.simulated import STARTS, AutopilotFlight
 from cognitivedrone.vehicles.sitl.arducopter import ArduCopter, port_is_free
-from cognitivedrone.vehicles.sitl.json_interface import SitlServer, serving
-from cognitivedrone.vehicles.sitl.physics import Plant
+from cognitivedrone.vehicles.sitl.json_interface import Plant, SitlServer, serving
 
 INSTANCES = 64
 """Instance numbers that are tried: so many fly side by side on one machine."""

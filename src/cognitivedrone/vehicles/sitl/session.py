@@ -29,8 +29,7 @@ from cognitivedrone.vehicles.mavlink.session import MavlinkVehicle, mavlink_conf
 from cognitivedrone.vehicles.simulated import ExternalFlight, ExternalWorld, SimulatedFlight
 from cognitivedrone.vehicles.sitl.arducopter import ArduCopter
 from cognitivedrone.vehicles.sitl.flight import SitlFlight
-from cognitivedrone.vehicles.sitl.json_interface import SitlServer, serving
-from cognitivedrone.vehicles.sitl.physics import Plant, Sensed
+from cognitivedrone.vehicles.sitl.json_interface import Plant, Sensed, SitlServer, serving
 
 READY_S = 180.0
 """For its estimator to settle, which takes about 40 s of its time."""

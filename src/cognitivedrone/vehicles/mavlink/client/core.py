@@ -25,7 +25,7 @@ from cognitivedrone.control.safety.health import Health
 from cognitivedrone.errors import LinkError
 from cognitivedrone.types import Action, FloatArray
 from cognitivedrone.vehicles.checklist import Checklist
-from cognitivedrone.vehicles.mavlink.client.checks.parameters import ParameterChanges, journal_of
+from cognitivedrone.vehicles.mavlink.client.connection import MavlinkConnection
 from cognitivedrone.vehicles.mavlink.client.handshake import (
     SETPOINT_S,
     STREAM_FIRST_S,
@@ -45,10 +45,10 @@ from cognitivedrone.vehicles.mavlink.client.health import (
     grounded,
     health_of,
 )
-from cognitivedrone.vehicles.mavlink.client.link.connection import MavlinkConnection
-from cognitivedrone.vehicles.mavlink.client.link.heartbeats import Flown
-from cognitivedrone.vehicles.mavlink.client.link.traffic import impostor_of
-from cognitivedrone.vehicles.mavlink.client.link.transport import open_transport
+from cognitivedrone.vehicles.mavlink.client.heartbeats import Flown
+from cognitivedrone.vehicles.mavlink.client.parameters import ParameterChanges, journal_of
+from cognitivedrone.vehicles.mavlink.client.traffic import impostor_of
+from cognitivedrone.vehicles.mavlink.client.transport import open_transport
 from cognitivedrone.vehicles.mavlink.telemetry import LANDING_SILENT_S, Telemetry, last_words, unlanded
 
 SET_MODE, ARM, TAKE_OFF = 176, 400, 22

@@ -17,18 +17,17 @@ from cognitivedrone.errors import LinkError
 from cognitivedrone.frames import flu_to_frd
 from cognitivedrone.types import Action
 from cognitivedrone.vehicles.checklist import Checklist
-from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AutopilotKind
-from cognitivedrone.vehicles.mavlink.client.checks.expected import EXPECTED
-from cognitivedrone.vehicles.mavlink.client.checks.parameters import ACTS_IN_FLIGHT, ParameterChanges, vehicle_key
-from cognitivedrone.vehicles.mavlink.client.checks.preflight import (
+from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AutopilotKind, Own, read_by_either_name
+from cognitivedrone.vehicles.mavlink.client.connection import MavlinkConnection, VehicleId
+from cognitivedrone.vehicles.mavlink.client.expected import EXPECTED
+from cognitivedrone.vehicles.mavlink.client.parameters import ACTS_IN_FLIGHT, ParameterChanges, vehicle_key
+from cognitivedrone.vehicles.mavlink.client.preflight import (
     FRESH_S,
     Facts,
     build_checklist,
     check_vehicle,
     corrections,
 )
-from cognitivedrone.vehicles.mavlink.client.link.connection import MavlinkConnection, VehicleId
-from cognitivedrone.vehicles.mavlink.renames import Own, read_by_either_name
 from cognitivedrone.vehicles.mavlink.telemetry import SIMULATED, Telemetry
 
 BODY_NED, VELOCITY_AND_YAW_RATE = 8, 0x05C7

@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Protocol
 
 import numpy as np
 
-from cognitivedrone.control.safety import Decision, Order, SafetyConfig, order
+from cognitivedrone.control.safety import Decision, Guard, Order, SafetyConfig, order
 from cognitivedrone.control.safety.health import VELOCITY_MODES, Health
 from cognitivedrone.types import Action, FloatArray
-from cognitivedrone.vehicles.mavlink.client.link.heartbeats import Grounded
-from cognitivedrone.vehicles.mavlink.client.link.traffic import Traffic, impostor_of
+from cognitivedrone.vehicles.mavlink.client.heartbeats import Grounded
+from cognitivedrone.vehicles.mavlink.client.traffic import Traffic, impostor_of
 from cognitivedrone.vehicles.mavlink.telemetry import POSITION_IGNORED, Telemetry, stick_moved
 
 BLIND_M = 1.0
@@ -188,26 +187,6 @@ def foreign_target(telemetry: Telemetry, since: float, sent: Iterable[tuple[floa
     )
 
 
-class FlightGuard(Protocol):
-    """The rules of safety: `cognitivedrone.control.safety.Guard`."""
-
-    def judge(self, health: Health) -> Decision:
-        """What to do now."""
-        ...
-
-    def shape(self, health: Health) -> Action:
-        """The command (4,) to send now, after a decision to fly."""
-        ...
-
-    def order(self, decision: Decision, health: Health, landing: str) -> Order:
-        """What to send for a decision but to fly; `landing` is the mode that lands."""
-        ...
-
-    def land(self, reason: str) -> None:
-        """Decide to land from now on."""
-        ...
-
-
 class PassThroughGuard:
     """Passes every command while the vehicle is ours and armed: where a gate monitor judges, no rule holds it back.
 
@@ -239,3 +218,7 @@ class PassThroughGuard:
     def land(self, reason: str) -> None:
         """Land from now on."""
         self._landing = self._landing or reason
+
+
+FlightGuard = Guard | PassThroughGuard
+"""What decides over every command."""

@@ -15,7 +15,7 @@ from cognitivedrone.errors import CognitiveDroneError
 from cognitivedrone.system import come_first, end_of
 from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
-from cognitivedrone.vehicles.mavlink.client.link.tlog import PacketLog
+from cognitivedrone.vehicles.mavlink.client.transport import PacketLog
 from cognitivedrone.vehicles.mavlink.guard.messages import MessageSocket, Reply, from_json
 from cognitivedrone.vehicles.mavlink.guard.process import FAILED, GuardProcess
 

@@ -36,7 +36,7 @@ from cognitivedrone.vehicles.checklist import Checklist
 from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS
 from cognitivedrone.vehicles.mavlink.client.core import PAUSE_S, LandingMode
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig, Met
-from cognitivedrone.vehicles.mavlink.client.link.tlog import open_log
+from cognitivedrone.vehicles.mavlink.client.transport import open_log
 from cognitivedrone.vehicles.mavlink.guard.messages import (
     Kind,
     MessageSocket,

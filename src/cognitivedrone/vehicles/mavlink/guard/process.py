@@ -23,11 +23,10 @@ from cognitivedrone.control.safety import Guard, SafetyConfig
 from cognitivedrone.errors import CognitiveDroneError, LinkError
 from cognitivedrone.system import HANG_UP, steady_s
 from cognitivedrone.vehicles.checklist import Checklist
+from cognitivedrone.vehicles.mavlink.client.connection import WATCH_S
 from cognitivedrone.vehicles.mavlink.client.core import FlightCore
 from cognitivedrone.vehicles.mavlink.client.handshake import RESTORE_S, MavlinkConfig
-from cognitivedrone.vehicles.mavlink.client.link.connection import WATCH_S
-from cognitivedrone.vehicles.mavlink.client.link.tlog import PacketLog
-from cognitivedrone.vehicles.mavlink.client.link.transport import open_transport
+from cognitivedrone.vehicles.mavlink.client.transport import PacketLog, open_transport
 from cognitivedrone.vehicles.mavlink.guard.messages import (
     MESSAGE_BYTES,
     Fault,

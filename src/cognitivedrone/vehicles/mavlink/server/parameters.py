@@ -1,7 +1,7 @@
 """Parameters of the simulated vehicle: a small set, each of which affects the simulation or describes it.
 
 Names, units and meanings are those of ArduCopter 4.6 (https://ardupilot.org/copter/docs/parameters.html); a vehicle
-that plays 4.7 shows its own (`renames.py`) to whoever asks.
+that plays 4.7 shows its own (`autopilot.py`) to whoever asks.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from typing import Literal, NamedTuple
 
 from cognitivedrone.sim.autopilot import AutopilotGains
-from cognitivedrone.vehicles.mavlink.renames import RENAMED, name_in
+from cognitivedrone.vehicles.mavlink.autopilot import RENAMED, name_in
 
 Kind = Literal["int8", "int16", "float"]
 """ArduCopter's storage type."""

@@ -1,7 +1,7 @@
 """The parameters of a vehicle that safety rests on: what they must be, why, and what they are set to with consent.
 
 Names, units and meanings are those of ArduCopter 4.6 (https://ardupilot.org/copter/docs/parameters.html; those of 4.7
-are in `renames.py`) and of PX4 1.14 to 1.16
+are in `autopilot.py`) and of PX4 1.14 to 1.16
 (https://docs.px4.io/main/en/advanced_config/parameter_reference.html).
 """
 
@@ -14,7 +14,7 @@ from typing import Final
 from cognitivedrone.vehicles.checklist import State
 from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, PX4
 from cognitivedrone.vehicles.mavlink.client.health import BLIND_M
-from cognitivedrone.vehicles.mavlink.client.link.traffic import OUR_SYSTEM
+from cognitivedrone.vehicles.mavlink.client.traffic import OUR_SYSTEM
 
 CONTINUE_GUIDED, CONTINUE_PILOT = 4, 16
 """Bits of FS_OPTIONS: GUIDED goes on without the remote control; modes that a pilot flies go on without us."""

@@ -10,12 +10,13 @@ import threading
 import time
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any, TypeVar
 
 from cognitivedrone.errors import LinkError
 from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS, REAL32, AutopilotKind
-from cognitivedrone.vehicles.mavlink.client.link.heartbeats import Chain, Flown, Heartbeats, Shown, heard
-from cognitivedrone.vehicles.mavlink.client.link.traffic import (
+from cognitivedrone.vehicles.mavlink.client.heartbeats import Chain, Flown, Heartbeats, Shown, heard
+from cognitivedrone.vehicles.mavlink.client.traffic import (
     OUR_COMPONENT,
     OUR_SYSTEM,
     MessageDecoder,
@@ -24,7 +25,7 @@ from cognitivedrone.vehicles.mavlink.client.link.traffic import (
     noticed,
     request_time,
 )
-from cognitivedrone.vehicles.mavlink.client.link.transport import Transport
+from cognitivedrone.vehicles.mavlink.client.transport import Transport
 from cognitivedrone.vehicles.mavlink.telemetry import (
     ARMED_FLAG,
     GROUND_STATION,
@@ -97,7 +98,7 @@ class MavlinkConnection:
         self._watch = watch
         self._flown = flown
         self._beat = self._vehicle_beat = self._watched = self._pinged = self._asked = -math.inf
-        self._encoder = dialect().MAVLink(_Outlet(self._put), OUR_SYSTEM, OUR_COMPONENT)
+        self._encoder = dialect().MAVLink(SimpleNamespace(write=self._put), OUR_SYSTEM, OUR_COMPONENT)
         self._decoder = MessageDecoder(datagrams=transport.datagrams)
         self._sending = threading.Lock()
         self._asking = threading.RLock()
@@ -393,10 +394,3 @@ class MavlinkConnection:
     def _put(self, data: bytes) -> None:
         self._log(data)
         self._transport.write(data)
-
-
-class _Outlet:
-    """What pymavlink's encoder writes to."""
-
-    def __init__(self, write: Callable[[bytes], None]) -> None:
-        self.write = write

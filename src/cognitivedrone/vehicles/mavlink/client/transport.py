@@ -8,20 +8,29 @@
 | `serial:DEVICE[:BAUD]` | a serial port or USB cable, 57600 baud by default |
 
 Nothing here waits for the other end: a stream whose reader has stopped drops whole packets (`dropped`).
+
+The log of a link is written by a thread of its own: the link hands packets over, never waits and never raises. A tlog
+is the format that ground stations replay: 8 bytes of big-endian microseconds since 1970 before each packet.
 """
 
 from __future__ import annotations
 
-import contextlib
 import os
 import re
 import select
 import socket
+import struct
+import threading
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Hashable
-from typing import Any, Protocol
+from contextlib import suppress
+from pathlib import Path
+from queue import Full, Queue
+from typing import Any, BinaryIO
 
 from cognitivedrone.errors import LinkError, did_you_mean, import_extra
+from cognitivedrone.files import create
 
 KINDS = ("udp", "udpin", "udpout", "tcp", "serial")
 LARGEST_READ = 65_536
@@ -29,31 +38,30 @@ LARGEST_BACKLOG = 2_048
 """Bytes that may wait for a stream whose reader is slow; what comes then is dropped, since it would arrive too late."""
 
 
-class Transport(Protocol):
+class Transport(ABC):
     """A way to a vehicle."""
 
     datagrams: bool
     """Whether each read is one datagram, whole in itself, or a piece of a stream."""
 
+    @abstractmethod
     def fileno(self) -> int:
         """What becomes readable when something has come."""
-        ...
 
+    @abstractmethod
     def read(self, timeout_s: float) -> tuple[bytes, Hashable]:
         """What has come, waiting at most so long (b"" if nothing), and whom it is from; `LinkError` if it is cut."""
-        ...
 
+    @abstractmethod
     def write(self, data: bytes) -> None:
         """Send, or drop it where there is nobody yet, or who reads too slowly; raises `LinkError` where it is cut."""
-        ...
 
-    def answer_to(self, peer: Hashable) -> None:
-        """Send to this one from now on."""
-        ...
+    def answer_to(self, peer: Hashable) -> None:  # noqa: B027
+        """Send to this one from now on; of a stream there is no other."""
 
+    @abstractmethod
     def close(self) -> None:
         """Hang up."""
-        ...
 
 
 def open_transport(url: str, *, timeout_s: float = 5.0) -> Transport:
@@ -83,7 +91,7 @@ _NUMBER = re.compile("[0-9]{1,8}")
 FORMS = "udp:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT or serial:DEVICE[:BAUD]"
 
 
-class _Udp:
+class _Udp(Transport):
     datagrams = True
 
     def __init__(self, *, bind: tuple[str, int] | None, peer: tuple[str, int] | None) -> None:
@@ -113,7 +121,7 @@ class _Udp:
         if self._peer is None:
             return
         # UDP promises nothing: what matters is whether anything comes back, and its age is watched.
-        with contextlib.suppress(OSError):
+        with suppress(OSError):
             self._socket.sendto(data, self._peer)
 
     def answer_to(self, peer: Hashable) -> None:
@@ -123,7 +131,7 @@ class _Udp:
         self._socket.close()
 
 
-class _Stream(ABC):
+class _Stream(Transport):
     """Whole packets, in order, to something that takes bytes when it can."""
 
     datagrams = False
@@ -140,9 +148,6 @@ class _Stream(ABC):
             return
         self._backlog += data
         self._flush()
-
-    def answer_to(self, peer: Hashable) -> None:  # noqa: B027
-        pass
 
     def _flush(self) -> None:
         while self._backlog and (taken := self._take(self._backlog)):
@@ -222,3 +227,67 @@ class _Serial(_Stream):
             return 0
         except (OSError, TypeError, ValueError) as error:
             raise LinkError(f"the serial port {self._device} has gone: {error}") from None
+
+
+MOST_WAITING = 200_000
+"""Packets that wait for a slow disk, some tens of megabytes; what comes then is lost."""
+CLOSING_S = 2.0
+"""So long what waits is waited for at the end."""
+
+
+def open_log(path: Path) -> BinaryIO:
+    """A new file for a `PacketLog`; raises `LinkError` where it cannot be made."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return create(path, 0)
+    except OSError as error:
+        raise LinkError(f"cannot write the log {path}: {error.strerror}") from None
+
+
+class PacketLog:
+    """Writes packets to an unbuffered file, whole records alone; what it cannot write is counted. Without one, none."""
+
+    def __init__(self, file: BinaryIO | None) -> None:
+        self._file = file
+        self._lost = 0
+        self._trouble = "the disk was too slow"
+        self._waiting: Queue[bytes | None] = Queue(MOST_WAITING)
+        self._thread = threading.Thread(target=self._write, name="log", daemon=True)
+        if file is not None:
+            self._thread.start()
+
+    def put(self, packet: bytes) -> None:
+        """Hand over a packet, with the time of now."""
+        if self._file is None:
+            return
+        try:
+            self._waiting.put_nowait(struct.pack(">Q", time.time_ns() // 1000) + packet)
+        except Full:
+            self._lost += 1
+
+    def close(self) -> str:
+        """Write what waits, for a while; returns what is not in the log, as text."""
+        if self._file is None:
+            return ""
+        with suppress(Full):
+            self._waiting.put_nowait(None)
+        self._thread.join(CLOSING_S)
+        lost = self._lost + self._waiting.qsize()
+        return f"{lost} packets are not in the log: {self._trouble}" if lost else ""
+
+    def _write(self) -> None:
+        assert self._file is not None  # noqa: S101
+        with self._file as file:
+            position = 0
+            while (record := self._waiting.get()) is not None:
+                try:
+                    written = 0
+                    while written < len(record):
+                        written += file.write(record[written:])
+                    position += written
+                except OSError as error:
+                    self._lost += 1
+                    self._trouble = error.strerror or str(error)
+                    with suppress(OSError):
+                        file.truncate(position)
+                        file.seek(position)

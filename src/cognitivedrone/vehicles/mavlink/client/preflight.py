@@ -11,11 +11,10 @@ from dataclasses import dataclass, field
 
 from cognitivedrone.errors import LinkError
 from cognitivedrone.vehicles.checklist import Checklist, Finding, State
-from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS, AutopilotKind
-from cognitivedrone.vehicles.mavlink.client.checks.expected import EXPECTED, Expected, Values
-from cognitivedrone.vehicles.mavlink.client.link.connection import VehicleId
-from cognitivedrone.vehicles.mavlink.client.link.traffic import OUR_SYSTEM, Traffic, impostor_of
-from cognitivedrone.vehicles.mavlink.renames import Own
+from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AUTOPILOTS, AutopilotKind, Own
+from cognitivedrone.vehicles.mavlink.client.connection import VehicleId
+from cognitivedrone.vehicles.mavlink.client.expected import EXPECTED, Expected, Values
+from cognitivedrone.vehicles.mavlink.client.traffic import OUR_SYSTEM, Traffic, impostor_of
 from cognitivedrone.vehicles.mavlink.telemetry import COPTER_TYPES, Telemetry
 
 KINDS = {0: "generic vehicle", 1: "fixed wing", 10: "ground rover", 11: "boat", 12: "submarine"}

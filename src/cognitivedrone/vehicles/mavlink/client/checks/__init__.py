@@ -1,1 +1,0 @@
-"""What is read, corrected and judged before a vehicle is armed."""

@@ -1,1 +1,0 @@
-"""The link to a vehicle: bytes, messages, whose they are, and their log."""
