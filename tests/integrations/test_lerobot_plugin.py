@@ -3,8 +3,6 @@
 Needs lerobot and the plug-in, in an environment of their own (docs/gymnasium.md).
 """
 
-from __future__ import annotations
-
 import json
 import sys
 

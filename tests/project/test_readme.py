@@ -1,7 +1,5 @@
 """What the README tells people to type exists and runs."""
 
-from __future__ import annotations
-
 import ast
 import re
 import shlex

@@ -4,8 +4,6 @@ A line `<!-- not run: REASON -->` above a block leaves it out. In a tutorial, a 
 name, and commands run in the page's order, in a folder of the page's own.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shlex
@@ -159,8 +157,3 @@ def test_the_page_of_the_paper_works_on_files_of_their_form(tmp_path_factory):
 @pytest.mark.parametrize(("page", "test"), ELSEWHERE.items())
 def test_what_is_run_elsewhere_is(page, test):
     assert f'"{page}"' in (ROOT / "tests" / test).read_text()
-
-
-def test_a_reason_leaves_out_only_the_block_below_it():
-    text = "<!-- not run: slow -->\n```python\na\n```\n\n```python\nb\n```\n   ```sh\n   c\n   ```\n"
-    assert [(block.text.strip(), block.not_run) for block in blocks_of(text)] == [("a", "slow"), ("b", ""), ("c", "")]

@@ -3,8 +3,6 @@
 It trains nine models and flies with them, which takes minutes: `make test-smoke` runs it, `make test` leaves it out.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The tables of README and docs are made from committed files: pages, markers, descriptions and files fit together."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys

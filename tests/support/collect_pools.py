@@ -1,7 +1,5 @@
 """Collections without worker processes: a generator flies in this one."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import SimpleNamespace

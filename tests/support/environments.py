@@ -1,7 +1,5 @@
 """Python environments of their own, for other projects' clients whose dependencies conflict with ours."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil

@@ -2,8 +2,6 @@
 of earlier ones. Processes start as the installed command does: with the folder of a script on the path.
 """
 
-from __future__ import annotations
-
 import os
 import shlex
 import signal

@@ -1,7 +1,5 @@
 """Checkpoints that LeRobot itself writes, small enough for tests."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import torch

@@ -5,8 +5,6 @@ panels whose pictures are spelt otherwise, and recorded flights below folders wi
 and shown in it is ours.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import shutil

@@ -1,7 +1,5 @@
 """Pilots that tests serve by name, in the process of the test: they can be watched and held up."""
 
-from __future__ import annotations
-
 import threading
 
 import numpy as np
