@@ -1,7 +1,5 @@
 """Who reaches the page, and how: beside other programs of the host, behind a proxy, through a tunnel, over ssh."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import threading

@@ -1,7 +1,5 @@
 """The lines of docs/play.md for nginx and for ssh, run: the page opens through them, and nobody else's script."""
 
-from __future__ import annotations
-
 import contextlib
 import getpass
 import os

@@ -1,9 +1,6 @@
 """Places: the shipped ones, the light that is read off them, and panoramas of a user's own, good and bad."""
 
-from __future__ import annotations
-
 import hashlib
-import io
 import json
 from importlib import resources
 
@@ -264,21 +261,6 @@ def test_a_name_that_is_neither_place_nor_file_is_met_with_the_nearest(tmp_path)
         places.load_place("wearhouse")
 
 
-@pytest.mark.parametrize("mode", ["1", "L", "LA", "P", "RGBA", "CMYK", "I;16"])
-def test_panoramas_of_every_kind_are_read(tmp_path, mode):
-    if mode == "I;16":
-        Image.fromarray(np.linspace(0, 65535, 512)[None].repeat(256, 0).astype(np.uint16)).save(tmp_path / "mine.png")
-    elif mode == "CMYK":
-        with io.BytesIO() as kept:
-            panorama().convert("CMYK").save(kept, "JPEG")
-            (tmp_path / "mine.png").write_bytes(kept.getvalue())
-    else:
-        panorama().convert(mode).save(tmp_path / "mine.png")
-    pixels = places.load_place(str(tmp_path / "mine.png")).pixels
-    assert pixels.shape == (1024, 2048, 3)
-    assert np.ptp(pixels) > 50
-
-
 @pytest.mark.parametrize(("value", "said"), [(0, "all black"), (255, "all white"), (90, "all of one colour")])
 def test_a_place_of_one_colour_is_refused(tmp_path, value, said):
     Image.new("RGB", (256, 128), (value,) * 3).save(tmp_path / "mine.png")
@@ -318,11 +300,7 @@ def test_a_file_of_200_megabytes_is_refused_before_it_is_read(tmp_path):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"", ""),
         (b"<html>", ""),
-        (b"\0" * 1000, ""),
-        (b"v/1\x01 exr", ""),
-        (b"RIFF....AVI ", ""),
         (b"\x76\x2f\x31\x01" + bytes(100), "high dynamic range; save it as PNG or JPEG"),
         (b"#?RADIANCE\n", "high dynamic range; save it as PNG or JPEG"),
         (bytes([0, 0, 0, 24]) + b"ftypisom" + bytes(100), "a video; save one frame of it"),
@@ -333,16 +311,6 @@ def test_files_that_are_no_pictures_are_refused_with_the_way_out_where_their_kin
     (tmp_path / "mine.jpg").write_bytes(content)
     with pytest.raises(AppearanceError, match=rf"panorama .* cannot be read.*{said}"):
         places.load_place(str(tmp_path / "mine.jpg"))
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_pixels_that_are_no_numbers_are_refused(tmp_path, value):
-    """A picture of 32-bit floating point under any name: its white is unknown, and it may hold NaN and infinities."""
-    pixels = np.full((128, 256), 0.5, np.float32)
-    pixels[10, 10] = value
-    Image.fromarray(pixels).save(tmp_path / "mine.tif")
-    with pytest.raises(AppearanceError, match="TIFF picture"):
-        places.load_place(str(tmp_path / "mine.tif"))
 
 
 def test_half_floats_of_the_package_of_panoramas_are_mended_when_the_places_are_built():
