@@ -1,7 +1,5 @@
 """The summary in the terminal says how many, how long, how large and what the actions look like."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
