@@ -1,7 +1,5 @@
 """DAgger from the command: a policy's flights, relabelled, are a set of their own, the same bytes every time."""
 
-from __future__ import annotations
-
 import hashlib
 import shutil
 from dataclasses import replace
