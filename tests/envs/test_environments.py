@@ -1,7 +1,5 @@
 """The environments pass Gymnasium's checks, agree with each other and repeat to the bit."""
 
-from __future__ import annotations
-
 import re
 import sys
 import warnings

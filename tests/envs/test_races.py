@@ -1,7 +1,5 @@
 """Races in flight: one visible gate at a time, each followed by the next."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """What learners with networks get: instructions as vectors, smaller images, and a run of Stable-Baselines3."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """The autopilot answers velocity setpoints as ArduCopter does."""
 
-from __future__ import annotations
-
 import csv
 import math
 from functools import cache
