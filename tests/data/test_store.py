@@ -1,7 +1,6 @@
 """The store gives back every bit, is the same whoever wrote it, and says what is wrong in one sentence."""
 
 import errno
-import io
 import json
 import os
 import pickle
@@ -19,7 +18,7 @@ import pyarrow.parquet as pq
 import pytest
 from factory import assert_same_episode, make_episode
 from made_stores import RECIPE, files_of, seal, write_store, writer_at
-from PIL import Image as PillowImage
+from tests.test_pictures import png_of
 from typechecked import unchecked
 
 from cognitivedrone.data.episode import decode_image, encode_image
@@ -346,9 +345,7 @@ def test_flights_that_do_not_fit_are_refused(tmp_path, flights):
 @pytest.mark.parametrize("side", [12_000, 30_000])
 @pytest.mark.filterwarnings("error")
 def test_a_huge_frame_is_named_before_it_is_decoded(tmp_path, side):
-    coded = io.BytesIO()
-    PillowImage.new("1", (side, side)).save(coded, "PNG")
-    flight = replace(make_episode(0, length=2), images=(coded.getvalue(),) * 2)
+    flight = replace(make_episode(0, length=2), images=(png_of(side, side),) * 2)
     path = write_store(tmp_path / "store", [flight])
     with pytest.raises(DataError, match=r"step 1, is broken \(.*a frame has at most 2048 pixels a side"):
         Store.open(path).steps([1])
