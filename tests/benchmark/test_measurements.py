@@ -1,7 +1,5 @@
 """Files of measured figures: what a benchmark keeps is read back, with the command that measures it again."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Whole flights with a chat API behind a real socket: whatever it answers, the flight goes on and is told."""
 
-from __future__ import annotations
-
 import json
 import time
 import warnings

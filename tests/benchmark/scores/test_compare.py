@@ -1,11 +1,9 @@
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
 import benchmark_fakes
 import pytest
-from rich.console import Console
+from benchmark_fakes import text_of
 
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.reports.tables import comparison_table, results_table
@@ -28,13 +26,6 @@ def two(config, tmp_path):
     a = config.changed(out=tmp_path / "a")
     b = config.changed(out=tmp_path / "b", policy="other")
     return run(a, progress=False, runner=RUNNER), run(b, progress=False, runner=RUNNER), tmp_path / "a", tmp_path / "b"
-
-
-def text_of(renderable) -> str:
-    console = Console(width=80, record=True, quiet=False, file=open("/dev/null", "w"))  # noqa: SIM115, PTH123
-    with console.file:
-        console.print(renderable)
-        return console.export_text()
 
 
 def test_tasks_are_paired_one_by_one(two):
