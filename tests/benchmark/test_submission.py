@@ -325,14 +325,11 @@ def test_what_a_file_names_is_not_run_and_not_opened(file, tmp_path, capsys, mon
     monkeypatch.syspath_prepend(str(tmp_path))
     original = file.read_text()
     for part, name in (
-        ("policy", "os:system:touch imported"),
-        ("policy", "owned:Dive"),
-        ("policy", "remote:ws://127.0.0.1:9"),
-        ("policy", "small:/etc/passwd"),
-        ("reasoner", "replay:/etc/passwd"),
-        ("reasoner", "os:system:touch imported"),
+        ("policy", "os:system:touch imported"), ("policy", "owned:Dive"),
+        ("policy", "remote:ws://127.0.0.1:9"), ("policy", "small:/etc/passwd"),
+        ("reasoner", "replay:/etc/passwd"), ("reasoner", "os:system:touch imported"),
         ("reasoner", "vlm:http://127.0.0.1:9/v1"),
-    ):
+    ):  # fmt: skip
         document = json.loads(original)
         document["runs"][0]["run"][part] = name
         file.write_text(json.dumps(document))

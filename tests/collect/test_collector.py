@@ -1,6 +1,5 @@
 """A collection is the same bytes whoever flies it, whatever interrupts it, and has exactly what was asked for."""
 
-import hashlib
 import multiprocessing
 import os
 import signal
@@ -12,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from collect_pools import flying, forwards
+from collect_pools import digests, flying, forwards
 
 from cognitivedrone.collect import collector
 from cognitivedrone.collect.collector import CollectPlan, collect
@@ -29,11 +28,6 @@ from cognitivedrone.tasks.format import write_tasks
 
 def config(out, **changes):
     return CollectPlan.of(out=out, **({"recipe": "debug", "episodes": 10, "episodes_per_shard": 3} | changes))
-
-
-def digests(folder):
-    files = sorted(path for path in folder.rglob("*") if path.is_file())
-    return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
 def backwards(fleet, batches):
@@ -70,7 +64,7 @@ def test_a_killed_collection_is_resumed_to_the_same_bytes(flown, tmp_path):
     script = f"""
 import os, signal
 from pathlib import Path
-from collect_pools import flying
+from collect_pools import digests, flying
 from cognitivedrone.collect import collector
 def fly(fleet, batches):
     for count, batch in enumerate(batches):

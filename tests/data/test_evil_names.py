@@ -23,18 +23,11 @@ from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError
 
 EVIL = (
-    "../x",
-    "../../../../tmp/x",
-    "/etc/x",
-    "a/b",
-    "..",
-    "",
-    "a\x00b",
-    "a\nb",
+    "../x", "../../../../tmp/x", "/etc/x", "a/b", "..", "", "a\x00b", "a\nb",
     "x" * 300,
     "\uff0e\uff0e\uff0fx",
     "[/f]",
-)
+)  # fmt: skip
 FORMATS = ("rlds", "lerobot", "published", "mcap")
 
 

@@ -13,7 +13,6 @@ from tests.play.test_page import PAGE, Recorded, ask, live, port_of
 from cognitivedrone.cli import main
 from cognitivedrone.errors import TaskError
 from cognitivedrone.play import app as play_app
-from cognitivedrone.play.access import Guarded
 from cognitivedrone.play.channels import Channels
 from cognitivedrone.play.config import PageSpec, PlayPlan
 from cognitivedrone.play.replay import Replay
@@ -34,14 +33,6 @@ def test_the_token_is_read_beside_the_cookies_of_others_and_escaped():
         ):  # fmt: skip
             assert ask(address, "static/app.js", headers={"Cookie": cookies})[0] == 200
         assert ask(address, headers={"Cookie": f"cognitivedrone-1={escaped}"})[0] == 403
-
-
-def test_two_pages_of_one_host_set_cookies_of_their_own():
-    names = set()
-    for port in (8090, 8091):
-        guarded = Guarded(lambda *_: None, port, "127.0.0.1", TOKEN)
-        names.add(guarded._cookie)
-    assert len(names) == 2
 
 
 @pytest.mark.parametrize(

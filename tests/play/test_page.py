@@ -92,12 +92,8 @@ def test_the_page_needs_nothing_from_elsewhere_and_is_small(page):
     for foreign in (b"http://", b"https://", b"@import", b"//cdn"):
         assert foreign not in whole
     for path in (
-        "static/../server.py",
-        "static/%2e%2e/server.py",
-        "static/none.js",
-        "etc/passwd",
-        "static/__init__.py",
-    ):
+        "static/../server.py", "static/%2e%2e/server.py", "static/none.js", "etc/passwd", "static/__init__.py",
+    ):  # fmt: skip
         assert ask(address, path)[0] == 404
 
 

@@ -28,19 +28,9 @@ def test_no_room_of_the_base_loads_a_learning_framework(room):
 
 
 HEAVY = {
-    "jaxtyping",
-    "mujoco",
-    "scipy",
-    "gymnasium",
-    "av",
-    "PIL",
-    "pyarrow",
-    "onnxruntime",
-    "torch",
-    "rich",
-    "numpy",
-    "jinja2",
-}
+    "jaxtyping", "mujoco", "scipy", "gymnasium", "av", "PIL", "pyarrow", "onnxruntime", "torch", "rich",
+    "numpy", "jinja2",
+}  # fmt: skip
 
 
 LOADED = """

@@ -142,12 +142,7 @@ def test_the_page_of_the_paper_works_on_files_of_their_form(tmp_path_factory):
                 arguments = [
                     *arguments[:drop],
                     *arguments[drop + 2 :],
-                    "--episodes",
-                    "1",
-                    "--workers",
-                    "0",
-                    "--clips",
-                    "0",
+                    *shlex.split("--episodes 1 --workers 0 --clips 0"),
                 ]
             typed(arguments, work)
             ran += 1

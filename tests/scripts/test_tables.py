@@ -29,15 +29,9 @@ from cognitivedrone.plan import Scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 MADE = Measurement(
-    "Gates",
-    "python gates.py",
-    "a chip, 3 cores",
-    "2026-03-04",
-    "0123456789abcdef",
-    0,
-    {},
+    "Gates", "python gates.py", "a chip, 3 cores", "2026-03-04", "0123456789abcdef", 0, {},
     ({"gate": "red", "ms": 1.25},),
-)
+)  # fmt: skip
 GATES = {"gates": table_kinds.rows_of("gates", {"gate": "{gate}", "time": "{ms:.1f} ms"})}
 PAGE = "# Gates\n\n<!-- table: gates -->\n<!-- end -->\n"
 

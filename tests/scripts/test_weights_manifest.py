@@ -16,14 +16,9 @@ def test_the_manifest_is_of_the_shipped_files():
     files = json.loads((WEIGHTS / MANIFEST).read_text(encoding="utf-8"))
     reasoner = {f"reasoner/{name}.onnx" for name in ("gate_selector", "language", "panel_reader")}
     assert set(files) == {
-        "concepts.onnx",
-        "obstacles.onnx",
-        "picture_classifier.onnx",
-        "race.onnx",
-        "small.onnx",
-        "text_encoder.onnx",
-        *reasoner,
-    }
+        "concepts.onnx", "obstacles.onnx", "picture_classifier.onnx", "race.onnx", "small.onnx",
+        "text_encoder.onnx", *reasoner,
+    }  # fmt: skip
     for facts in files.values():
         assert len(facts["commit"]) == 40, "trained from a commit, with nothing changed"
         assert facts["steps"] > 0 or facts["recipe"] in ("classifier", "concepts"), "or taken as it was pretrained"

@@ -8,22 +8,10 @@ from beartype import beartype
 from jaxtyping import AbstractArray, config, install_import_hook
 
 CHECKED: tuple[str, ...] = (
-    "types",
-    "frames",
-    "sim.drawing.camera",
-    "sim.simulator",
-    "sim.drawing.views",
-    "envs.worlds",
-    "control.loop",
-)
-CHECKED += (
-    "models.small_file",
-    "models.reasoner_file",
-    "models.openvla.actions",
-    "policies.small",
-    "policies.openvla",
-    "data.episode",
-)
+    "types", "frames", "sim.drawing.camera", "sim.simulator", "sim.drawing.views", "envs.worlds",
+    "control.loop", "models.small_file", "models.reasoner_file", "models.openvla.actions", "policies.small",
+    "policies.openvla", "data.episode",
+)  # fmt: skip
 """Where arrays pass from one part to another. The arithmetic of one tick is left out: it is called too often."""
 
 

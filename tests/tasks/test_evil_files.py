@@ -35,16 +35,11 @@ def written(folder: Path, *tasks: dict[str, Any], name: str = "tasks.json") -> P
 @pytest.mark.parametrize(
     ("field", "said"),
     [
-        ("prompt", "prompt"),
-        ("prompt_simpler", "prompt_simpler"),
-        ("background", "background"),
-        ("id", "id"),
-        ("family", "family"),
-        ("board", "board"),
-        ("options", "an entry of options"),
+        ("prompt", "prompt"), ("prompt_simpler", "prompt_simpler"), ("background", "background"), ("id", "id"),
+        ("family", "family"), ("board", "board"), ("options", "an entry of options"),
         ("labels", "an entry of labels"),
     ],
-)
+)  # fmt: skip
 def test_an_unfit_character_is_told_with_file_index_field_and_fix(tmp_path, field, said, unfit):
     text = f"animal/{unfit}cat@noto"
     path = written(tmp_path, TASK | {field: ["a", text, "c"] if field in ("options", "labels") else text})

@@ -54,21 +54,11 @@ def test_steps_of_a_calculation_or_a_story_are_no_mission(sentence):
 @pytest.mark.parametrize(
     "part",
     [
-        ",",
-        ". ",
-        "if then ",
-        "otherwise if then ",
-        "then ",
-        "once you have ",
-        "first ",
-        "\U0001f431",
-        "start with a and end with ",
-        " in that order",
-        "the dog but first ",
-        "before the cat, ",
+        ",", ". ", "if then ", "otherwise if then ", "then ", "once you have ", "first ", "\U0001f431",
+        "start with a and end with ", " in that order", "the dog but first ", "before the cat, ",
         "start with the cat and end with ",
     ],
-)
+)  # fmt: skip
 def test_a_long_sentence_of_anything_is_cut_or_left_alone(part):
     """Patterns whose time grows faster than the sentence would not come to an end here."""
     for length in (1_900, 20_000):

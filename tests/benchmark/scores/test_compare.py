@@ -181,29 +181,3 @@ def test_errors_of_the_policy_and_of_the_physics_stand_below_the_table(results):
     text = text_of(results_table(replace(results, episodes=(bad, lost, *rest))))
     assert "not counted: 1 invalid" in text
     assert "not a finite number" in " ".join(text.split())
-
-
-@pytest.mark.parametrize(
-    ("suite", "categories", "reported"),
-    [
-        ("open-v1:test", 3, True),
-        ("open-v1:hard", 3, True),
-        ("open-v1:unseen", 3, True),
-        ("open-v1:unseen", 2, False),
-        ("open-v1:smoke", 3, False),
-        ("open-v1:race", 3, False),
-        ("open-v1:track", 3, False),
-        ("open-v1:train", 3, False),
-        ("mine.json", 3, False),
-    ],
-)
-def test_only_suites_like_the_papers_are_told_beside_it(results, suite, categories, reported):
-    stages = [episode.stages[0] for episode in results.episodes[:3]]
-    kinds = ["human_recognition", "symbol_understanding", "reasoning"][:categories]
-    episodes = tuple(
-        replace(episode, stages=(replace(stage, category=kinds[number % categories]),))
-        for number, (episode, stage) in enumerate(zip(results.episodes[:3], stages, strict=True))
-    )
-    run = replace(results.run, suite=replace(results.run.suite, name=suite))
-    text = text_of(results_table(replace(results, run=run, episodes=episodes)))
-    assert ("2503.01378" in text) is reported

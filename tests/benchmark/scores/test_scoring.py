@@ -116,12 +116,8 @@ def test_choices_stand_by_right_gate_and_gate_flown_at():
 def test_nothing_to_count_gives_no_rate():
     result = score([stage("invalid")])
     assert (result.n, result.rate, result.ci95, result.choice_accuracy, result.mean_time_s) == (
-        0,
-        None,
-        None,
-        None,
-        None,
-    )
+        0, None, None, None, None,
+    )  # fmt: skip
     assert mean_of([result]).rate is None
     assert summarize([]).overall.n == 0
 
