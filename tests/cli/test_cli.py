@@ -19,8 +19,6 @@ from cognitivedrone import checkout
 from cognitivedrone.benchmark.config import Plan, SweepPlan
 from cognitivedrone.benchmark.runs.sweep import plan_of
 from cognitivedrone.cli import FIRST, TARGETS, help_text, load, main
-from cognitivedrone.collect.collector import collect
-from cognitivedrone.collect.config import CollectPlan
 from cognitivedrone.plan import Scenario
 from cognitivedrone.tasks import load_suite, write_tasks
 from cognitivedrone.tasks.scenario import how_many, suite_of
@@ -257,15 +255,6 @@ def test_a_suite_may_still_be_a_file(capsys, tmp_path, own_tasks):
         output = capsys.readouterr().out
         assert "tasks of mine.json" in output
         assert "the paper" not in output  # own tasks are not compared with it
-
-
-def test_own_tasks_are_collected(tmp_path, own_tasks):
-    report = collect(
-        CollectPlan.of(out=tmp_path / "set", recipe="debug", episodes=2, tasks=own_tasks, workers=1), progress=False
-    )
-    assert report.episodes == 2
-    manifest = json.loads((tmp_path / "set" / "manifest.json").read_text())
-    assert "mine.json" in json.dumps(manifest)
 
 
 def test_a_suite_without_an_end_says_how_much_of_it_is_flown(capsys, tmp_path):

@@ -15,7 +15,7 @@ from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import Gate, Stage
 from cognitivedrone.world import places
-from cognitivedrone.world.appearance import PLAIN, expose, photo_appearance
+from cognitivedrone.world.appearance import PLAIN, photo_appearance
 from cognitivedrone.world.assets import build_assets
 
 STAGE = Stage(
@@ -206,23 +206,6 @@ def test_one_place_of_ones_own_is_drawn_at_a_time(tmp_path):
         blue = cameras.first_person(*pose, slots=[0])[0, -20:].mean(axis=(0, 1))
     assert red[0] > 2 * red[2]
     assert blue[2] > 2 * blue[0]
-
-
-def test_a_lens_bends_dims_and_blurs():
-    y, x = np.mgrid[0:64, 0:64]
-    picture = np.repeat(((x // 8 + y // 8) % 2 * 255).astype(np.uint8)[..., None], 3, axis=2)
-    for change in ({"distortion": 0.06}, {"distortion": -0.06}, {"vignetting": 0.3}):
-        seen = picture.copy()
-        expose(seen, PLAIN.__class__(**{**_fields(PLAIN), **change}), 0)
-        assert (seen != picture).any()
-        assert seen.max() == 255
-    blurred = picture.copy()
-    expose(blurred, PLAIN, 0, 3.0)
-    assert len(np.unique(blurred)) > 2
-
-
-def _fields(appearance):
-    return {name: getattr(appearance, name) for name in appearance.__slots__}
 
 
 @pytest.mark.parametrize(
