@@ -64,14 +64,9 @@ PAGES = [page for page in sorted(DOCS.glob("*.md")) if page.name not in ELSEWHER
 
 def run(arguments: Sequence[str], folder: Path, **environment: str) -> str:
     done = subprocess.run(
-        [sys.executable, *arguments],
-        cwd=folder,
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        timeout=500,
-        check=False,
-    )
+        [sys.executable, *arguments], cwd=folder, env={**os.environ, **environment}, capture_output=True,
+        text=True, timeout=500, check=False,
+    )  # fmt: skip
     assert done.returncode == 0, f"{shlex.join(arguments)}\n{done.stdout}\n{done.stderr}"
     return done.stdout
 

@@ -35,23 +35,17 @@ from cognitivedrone.types import EpisodeContext, Observation
 def test_the_policy_on_the_server_sees_the_same_numbers():
     rng = np.random.default_rng(0)
     seen = Observation(
-        image=rng.integers(0, 256, (256, 256, 3), dtype=np.uint8),
-        instruction="Fly through the gate with 3×4",
-        velocity=rng.normal(size=3).astype(np.float32),
-        height=float(rng.normal()),
-        yaw_rate=float(rng.normal()),
+        image=rng.integers(0, 256, (256, 256, 3), dtype=np.uint8), instruction="Fly through the gate with 3×4",
+        velocity=rng.normal(size=3).astype(np.float32), height=float(rng.normal()), yaw_rate=float(rng.normal()),
         time=1 / 3,
-    )
+    )  # fmt: skip
     read = read_observation(unpack(pack(observation_message(seen))), 0.0)
     assert np.array_equal(read.image, seen.image)
     assert read.velocity.dtype == np.float32
     assert np.array_equal(read.velocity, seen.velocity)
     assert (read.instruction, read.height, read.yaw_rate, read.time) == (
-        seen.instruction,
-        seen.height,
-        seen.yaw_rate,
-        seen.time,
-    )
+        seen.instruction, seen.height, seen.yaw_rate, seen.time,
+    )  # fmt: skip
 
 
 def test_a_client_may_leave_out_the_time():

@@ -154,13 +154,9 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     }
     for name, options in runs.items():
         plan = Plan.of(
-            policy="fake",
-            suite=name.partition("+")[0].replace("v1-", "v1:"),
-            workers=0,
-            clips=0,
-            out=out / "scores" / "small" / name,
-            **options,
-        )
+            policy="fake", suite=name.partition("+")[0].replace("v1-", "v1:"), workers=0, clips=0,
+            out=out / "scores" / "small" / name, **options,
+        )  # fmt: skip
         run(plan, progress=False, runner=benchmark_fakes.FakeRunner)
     audit = out / "audit" / "small"
     audit.mkdir(parents=True)

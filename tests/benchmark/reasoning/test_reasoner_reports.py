@@ -38,15 +38,9 @@ def answers(tmp_path_factory):
 def flown(answers, tmp_path_factory):
     out = tmp_path_factory.mktemp("runs") / "run"
     config = Plan.of(
-        policy="colour_seeker",
-        reasoner=f"replay:{answers}",
-        suite="open-v1:smoke",
-        workers=0,
-        episodes=EPISODES,
-        latency="policy=30ms,reasoner=300ms",
-        out=out,
-        clips=0,
-    )
+        policy="colour_seeker", reasoner=f"replay:{answers}", suite="open-v1:smoke", workers=0,
+        episodes=EPISODES, latency="policy=30ms,reasoner=300ms", out=out, clips=0,
+    )  # fmt: skip
     return run(config, progress=False)
 
 

@@ -32,18 +32,10 @@ FAMILIES = {
 
 def stage(outcome="passed", *, category="reasoning", family="math", target=0, chosen=0, distance=0.1, time_s=5.0):
     return StageResult(
-        task_id="t",
-        category=category,
-        family=family,
-        target=target,
-        outcome=outcome,
-        chosen=chosen,
-        time_s=time_s,
-        path_m=6.0,
-        path_ratio=1.1 if outcome in ("passed", "wrong_gate") else None,
-        clearance_m=0.2 if outcome in ("passed", "wrong_gate") else None,
-        gate_distance_m=distance,
-    )
+        task_id="t", category=category, family=family, target=target, outcome=outcome, chosen=chosen,
+        time_s=time_s, path_m=6.0, path_ratio=1.1 if outcome in ("passed", "wrong_gate") else None,
+        clearance_m=0.2 if outcome in ("passed", "wrong_gate") else None, gate_distance_m=distance,
+    )  # fmt: skip
 
 
 @st.composite
