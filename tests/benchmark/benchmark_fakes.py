@@ -248,19 +248,14 @@ def frame_of(task: Task, step: int) -> FilmFrame:
 def ended(task: Task, outcome: Outcome, gate: int, rng: np.random.Generator) -> StageResult:
     flown_through = outcome in ("passed", "wrong_gate")
     return StageResult(
-        task_id=task.id,
-        category=task.category,
-        family=task.family,
-        target=task.target,
-        outcome=outcome,
+        task_id=task.id, category=task.category, family=task.family, target=task.target, outcome=outcome,
         chosen=gate if outcome not in ("timeout", "out_of_bounds") else None,
-        time_s=4 + float(rng.random()),
-        path_m=6 + float(rng.random()),
+        time_s=4 + float(rng.random()), path_m=6 + float(rng.random()),
         path_ratio=1 + float(rng.random()) / 10 if flown_through else None,
         clearance_m=float(rng.random()) / 2 if flown_through else None,
         gate_distance_m=float(rng.random()) * (0.5 if outcome == "passed" else 3.0),
         directive=task.directive,
-    )
+    )  # fmt: skip
 
 
 def not_reached(task: Task) -> StageResult:

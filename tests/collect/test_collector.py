@@ -162,6 +162,7 @@ def test_a_place_that_cannot_be_written_is_reported_in_one_sentence(tmp_path, pl
     [
         ({"recipe": "papr"}, DataError, "did you mean 'paper'"),
         ({"episodes": 0}, UsageError, "--episodes is 0"),
+        ({"workers": 0}, UsageError, "--workers is 0"),
         ({"suite": "open-v2:words"}, DataError, "is only for testing"),
         ({"beta": 0.5}, DataError, "give a --policy"),
         ({"beta": 1.5, "policy": "hover"}, UsageError, "--beta is 1.5; it must be from 0 to 1"),

@@ -13,7 +13,7 @@ import websockets.exceptions
 from policy_clients import Client, observation, packed
 from served_pilots import TOKEN, Held, served
 
-from cognitivedrone.errors import GroundTruthError, PluginError, PolicyError, ServerError
+from cognitivedrone.errors import GroundTruthError, PluginError, PolicyError, ServerError, UsageError
 from cognitivedrone.serving.config import ServePlan
 from cognitivedrone.serving.server import serving
 
@@ -335,6 +335,12 @@ def test_a_port_that_is_taken_is_named(address):
     says = rf"cannot listen at 127.0.0.1, port {address.port}: .*; give another --host"
     with pytest.raises(ServerError, match=says), served(port=address.port):
         pass
+
+
+@pytest.mark.parametrize("option", ["clients", "rate", "queue", "batch", "message_kb", "idle", "port"])
+def test_a_limit_that_is_none_is_refused(option):
+    with pytest.raises(UsageError, match=f"--{option.replace('_', '-')} is -1"):
+        ServePlan.of(**{option: -1})
 
 
 def test_an_unknown_policy_is_refused_before_the_port_is_used():
