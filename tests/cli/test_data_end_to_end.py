@@ -1,6 +1,7 @@
 """The data engine through its command: collect, verify, convert, replay, and what is said of mistakes."""
 
 import io
+import shutil
 from contextlib import redirect_stdout
 
 import pytest
@@ -56,6 +57,15 @@ def test_a_run_of_two_cameras_is_not_resumed_with_one(two_cameras, capsys):
     arguments = ("--recipe", "debug", "--episodes", 2, "--resume", "--out", two_cameras)
     said = " ".join(refused(capsys, 2, "collect", *arguments)[1].split())
     assert "holds a data set of another recipe (down_camera: True there, None here)" in said
+
+
+def test_an_altered_shard_is_named(two_cameras, tmp_path, capsys):
+    copy = shutil.copytree(two_cameras, tmp_path / "copy")
+    (shard,) = copy.glob("shards/*.parquet")
+    content = bytearray(shard.read_bytes())
+    content[len(content) // 2] ^= 1
+    shard.write_bytes(content)
+    assert shard.name in refused(capsys, 1, "data", "verify", copy)[0]
 
 
 @pytest.mark.parametrize("what", ["show", "verify", "report"])

@@ -1,3 +1,5 @@
+import errno
+import fcntl
 import json
 import os
 import zlib
@@ -236,4 +238,19 @@ def test_a_record_that_does_not_fit_the_suite_is_refused_even_with_its_checksum(
     before = (folder / EPISODES_FILE).read_bytes()
     with pytest.raises(RunError, match=reason):
         RunFolder(folder, job.facts, tracks=tracks, resume=True)
+    assert (folder / EPISODES_FILE).read_bytes() == before
+
+
+def test_a_file_system_without_locks_is_named_and_nothing_is_left_there(tmp_path, facts, folder, monkeypatch):
+    def missing(descriptor: int, operation: int) -> None:
+        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
+
+    monkeypatch.setattr(fcntl, "flock", missing)
+    no_locks = r"the file system there has no locks .*; give a folder on a local disk"
+    with pytest.raises(RunError, match=no_locks), RunFolder(tmp_path / "new", facts):
+        pass
+    assert not (tmp_path / "new").exists()
+    before = (folder / EPISODES_FILE).read_bytes()
+    with pytest.raises(RunError, match="has no locks"), RunFolder(folder, facts, resume=True):
+        pass
     assert (folder / EPISODES_FILE).read_bytes() == before

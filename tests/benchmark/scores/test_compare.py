@@ -181,3 +181,9 @@ def test_errors_of_the_policy_and_of_the_physics_stand_below_the_table(results):
     text = text_of(results_table(replace(results, episodes=(bad, lost, *rest))))
     assert "not counted: 1 invalid" in text
     assert "not a finite number" in " ".join(text.split())
+
+
+def test_a_suite_like_the_papers_is_told_beside_it(results):
+    like = replace(results.run, suite=replace(results.run.suite, name="open-v1:test"))
+    assert "2503.01378" in text_of(results_table(replace(results, run=like)))
+    assert "2503.01378" not in text_of(results_table(results))
