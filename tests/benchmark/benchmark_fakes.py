@@ -1,16 +1,18 @@
 """An episode runner without a simulator: made-up flights that depend on suite, episode and seed alone, as real ones."""
 
-from __future__ import annotations
-
 import hashlib
+import io
+import json
 import os
 import re
 import signal
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from rich.console import Console
 
 from cognitivedrone.benchmark.runs.job import Job
 from cognitivedrone.benchmark.scores.run_types import Rollout, Trace
@@ -78,8 +80,7 @@ class FifthFails(FakeRunner):
 class DyingRunner(FifthFails):
     """Its process is killed."""
 
-    def fifth(self) -> None:
-        os.kill(os.getpid(), signal.SIGKILL)
+    fifth = staticmethod(lambda: os.kill(os.getpid(), signal.SIGKILL))
 
 
 class LosingRunner(FifthFails):
@@ -135,35 +136,40 @@ class BuggyRunner(FifthFails):
         raise ZeroDivisionError("a bug in a policy")
 
 
-class HangingRunner(FifthFails):
+class CallingRunner(FifthFails):
+    """Something happens while its policy is called."""
+
+    def fifth(self) -> None:
+        with calling("the policy", self.watch):
+            self.called()
+
+    def called(self) -> None:
+        """What happens."""
+
+
+class HangingRunner(CallingRunner):
     """Its policy never answers, and keeps the interpreter to itself."""
 
-    def fifth(self) -> None:
-        with calling("the policy", self.watch):
-            re.match(r"(a+)+$", "a" * 60 + "b")
+    def called(self) -> None:
+        re.match(r"(a+)+$", "a" * 60 + "b")
 
 
-class QuittingRunner(FifthFails):
+class QuittingRunner(CallingRunner):
     """Its policy ends the process, as if all were well."""
 
-    def fifth(self) -> None:
-        with calling("the policy", self.watch):
-            os._exit(0)
+    called = staticmethod(lambda: os._exit(0))
 
 
-class CrashingRunner(FifthFails):
+class CrashingRunner(CallingRunner):
     """Its policy brings the process down."""
 
-    def fifth(self) -> None:
-        with calling("the policy", self.watch):
-            os.kill(os.getpid(), signal.SIGSEGV)
+    called = staticmethod(lambda: os.kill(os.getpid(), signal.SIGSEGV))
 
 
 class LeavingRunner(FifthFails):
     """Its process ends in good order, and nobody's policy is to blame."""
 
-    def fifth(self) -> None:
-        os._exit(0)
+    fifth = staticmethod(lambda: os._exit(0))
 
 
 class RaisingRunner(FakeRunner):
@@ -198,8 +204,7 @@ class InterruptedRunner(FifthFails):
 class GroupInterruptedRunner(FifthFails):
     """Somebody presses Ctrl-C; the terminal tells the whole process group."""
 
-    def fifth(self) -> None:
-        os.killpg(os.getpgrp(), signal.SIGINT)
+    fifth = staticmethod(lambda: os.killpg(os.getpgrp(), signal.SIGINT))
 
 
 class NamedRunner(FakeRunner):
@@ -221,6 +226,19 @@ class FickleRunner(FakeRunner):
         return super().fly(episode, film=film)
 
 
+def lasting(folder: Path) -> dict[str, Any]:
+    """Of a run's results, what must be the same on every repetition."""
+    document = json.loads((folder / "results.json").read_text())
+    return {key: value for key, value in document.items() if key not in ("timing", "platform")}
+
+
+def text_of(table: Any, width: int = 80) -> str:
+    """What a terminal of this width shows of it."""
+    console = Console(width=width, record=True, file=io.StringIO())
+    console.print(table)
+    return console.export_text()
+
+
 def frame_of(task: Task, step: int) -> FilmFrame:
     image = np.full((64, 64, 3), 4 * step % 256, dtype=np.uint8)
     guidance = Guidance(task.directive, task.target, 0.5)
@@ -230,19 +248,14 @@ def frame_of(task: Task, step: int) -> FilmFrame:
 def ended(task: Task, outcome: Outcome, gate: int, rng: np.random.Generator) -> StageResult:
     flown_through = outcome in ("passed", "wrong_gate")
     return StageResult(
-        task_id=task.id,
-        category=task.category,
-        family=task.family,
-        target=task.target,
-        outcome=outcome,
+        task_id=task.id, category=task.category, family=task.family, target=task.target, outcome=outcome,
         chosen=gate if outcome not in ("timeout", "out_of_bounds") else None,
-        time_s=4 + float(rng.random()),
-        path_m=6 + float(rng.random()),
+        time_s=4 + float(rng.random()), path_m=6 + float(rng.random()),
         path_ratio=1 + float(rng.random()) / 10 if flown_through else None,
         clearance_m=float(rng.random()) / 2 if flown_through else None,
         gate_distance_m=float(rng.random()) * (0.5 if outcome == "passed" else 3.0),
         directive=task.directive,
-    )
+    )  # fmt: skip
 
 
 def not_reached(task: Task) -> StageResult:

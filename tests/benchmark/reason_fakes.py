@@ -1,7 +1,5 @@
 """Reasoners of a user's own, each good or bad in one way. `LOG` is what the last one was told and asked."""
 
-from __future__ import annotations
-
 import signal
 
 from cognitivedrone.errors import ReasonerError
@@ -24,7 +22,6 @@ class _Briefed(Reasoner):
 
     def reset(self, context: EpisodeContext) -> None:
         LOG.append(f"reset {context.stage} {context.seed}")
-        assert context.ground_truth is not None
         TRUTHS.append(context.ground_truth)
         self.task, self.asked = context.ground_truth.task, 0
 

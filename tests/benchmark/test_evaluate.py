@@ -1,7 +1,5 @@
 """Scoring from a script or a notebook."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`evaluate` from scripts, pools and notebooks: the same score, paths as text, and errors in words of Python."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess
@@ -13,7 +11,6 @@ from rich.console import Console
 
 from cognitivedrone import evaluate
 from cognitivedrone.benchmark.runs.runner import Interrupted
-from cognitivedrone.cli import main
 from cognitivedrone.errors import UsageError
 from cognitivedrone.terminal.progress import progress_bar
 
@@ -49,16 +46,6 @@ def test_standard_input_a_daemonic_worker_and_optimised_python_give_the_same_sco
     inside, said = scored(str(pooled))
     assert "daemonic worker" in said
     assert plain == optimised == piped == inside
-
-
-def test_two_shards_merged_give_the_score_of_one_run_to_the_digit(tmp_path):
-    words = ["bench", "--suite=open-v1:smoke", "--episodes=4", "--policy=colour_seeker", "--reasoner=oracle"]
-    runs = {"whole": [], "one": ["--shard", "1/2"], "two": ["--shard", "2/2"]}
-    for name, shard in runs.items():
-        main([*words, *shard, "--workers", "0", "--out", str(tmp_path / name)])
-    main(["merge", str(tmp_path / "one"), str(tmp_path / "two"), "--out", str(tmp_path / "merged")])
-    whole, merged = (json.loads((tmp_path / name / "results.json").read_text()) for name in ("whole", "merged"))
-    assert (merged["scores"], merged["episodes"]) == (whole["scores"], whole["episodes"])
 
 
 def test_a_notebook_without_widgets_is_shown_no_bar_and_no_warning():

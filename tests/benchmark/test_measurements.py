@@ -1,7 +1,5 @@
 """Files of measured figures: what a benchmark keeps is read back, with the command that measures it again."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -38,14 +36,9 @@ def test_what_is_kept_is_read_back_with_command_machine_and_day(tmp_path: Path, 
 
 def test_the_command_names_no_folder_of_this_machine() -> None:
     words = [
-        "benchmarks/x.py",
-        "--arducopter",
-        "/home/me/bin/arducopter",
-        "--log=/home/x",
-        "--out",
-        "/home/y",
+        "benchmarks/x.py", "--arducopter", "/home/me/bin/arducopter", "--log=/home/x", "--out", "/home/y",
         "runs/a",
-    ]
+    ]  # fmt: skip
     assert command_line(words) == "python benchmarks/x.py --arducopter path/to/arducopter --log=path/to/x runs/a"
 
 

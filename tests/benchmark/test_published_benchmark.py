@@ -1,7 +1,5 @@
 """The published benchmark from files of its form: flown, read from recordings, answered as the paper's reasoner did."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

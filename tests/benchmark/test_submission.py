@@ -1,13 +1,10 @@
 """Submissions: made from real runs, tampering is found, and a sample is flown again."""
 
-from __future__ import annotations
-
 import html
 import json
 import math
 import re
 import sys
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -51,21 +48,15 @@ class Moody:
 
 
 @pytest.fixture
-def folder(smoke_run: Path) -> Path:
-    """A whole run of a shipped suite."""
-    return smoke_run
-
-
-@pytest.fixture
-def file(folder: Path, tmp_path: Path) -> Path:
+def file(smoke_run, tmp_path):
     path = tmp_path / "leaderboard" / "mine.json"
-    write_submission(path, submission_of([folder], "Mine", "Us"))
+    write_submission(path, submission_of([smoke_run], "Mine", "Us"))
     return path
 
 
-def test_a_submission_holds_the_run_and_is_read_back(folder: Path, file: Path) -> None:
+def test_a_submission_holds_the_run_and_is_read_back(smoke_run, file):
     submission = read_submission(file)
-    assert submission == submission_of([folder], "Mine", "Us")
+    assert submission == submission_of([smoke_run], "Mine", "Us")
     (made,) = submission.runs
     assert made.overall.n == 30
     assert made.overall.rate == 1.0
@@ -109,7 +100,7 @@ def test_a_submission_holds_the_run_and_is_read_back(folder: Path, file: Path) -
         (lambda run: run["run"].update(policy="x" * 3000), "printable characters"),
     ],
 )
-def test_tampering_is_found(file: Path, change, message: str) -> None:
+def test_tampering_is_found(file, change, message):
     document = json.loads(file.read_text())
     change(document["runs"][0])
     file.write_text(json.dumps(document))
@@ -119,7 +110,7 @@ def test_tampering_is_found(file: Path, change, message: str) -> None:
 
 @pytest.mark.parametrize("text", ["", " ", "x" * 61, "a\nb", "a\x1b[2J", "a\ud800", "a\u202eb", "a\u200bb"])
 @pytest.mark.parametrize("key", ["name", "by"])
-def test_a_name_is_checked_when_it_is_read(file: Path, key: str, text: str) -> None:
+def test_a_name_is_checked_when_it_is_read(file, key, text):
     document = json.loads(file.read_text())
     document[key] = text
     file.write_text(json.dumps(document))
@@ -136,7 +127,7 @@ def test_a_name_is_checked_when_it_is_read(file: Path, key: str, text: str) -> N
         "https://me:pass@host", "https://a\\b", "https://é.org", "https://a/" + "x" * 200, "ftp://a.org", "a.org",
     ],
 )  # fmt: skip
-def test_an_address_is_a_plain_one_of_the_web(file: Path, url: str) -> None:
+def test_an_address_is_a_plain_one_of_the_web(file, url):
     document = json.loads(file.read_text())
     document["url"] = url
     file.write_text(json.dumps(document))
@@ -144,10 +135,10 @@ def test_an_address_is_a_plain_one_of_the_web(file: Path, url: str) -> None:
         read_submission(file)
 
 
-def test_the_runs_of_a_file_are_one_pilot_s_and_each_is_there_once(file: Path) -> None:
+def test_the_runs_of_a_file_are_one_pilot_s_and_each_is_there_once(file):
     original = json.loads(file.read_text())
 
-    def with_runs(*runs: Any) -> None:
+    def with_runs(*runs):
         file.write_text(json.dumps({**original, "runs": runs}))
 
     (first,) = original["runs"]
@@ -169,8 +160,8 @@ def test_the_runs_of_a_file_are_one_pilot_s_and_each_is_there_once(file: Path) -
         read_submission(file)
 
 
-def test_episodes_of_another_order_are_not_submitted(folder: Path, tmp_path: Path) -> None:
-    document = json.loads((folder / "results.json").read_text())
+def test_episodes_of_another_order_are_not_submitted(smoke_run, tmp_path):
+    document = json.loads((smoke_run / "results.json").read_text())
     document["episodes"][1]["stages"], document["episodes"][2]["stages"] = (
         document["episodes"][2]["stages"],
         document["episodes"][1]["stages"],
@@ -181,22 +172,22 @@ def test_episodes_of_another_order_are_not_submitted(folder: Path, tmp_path: Pat
         submission_of([changed], "Mine", "Us")
 
 
-def test_what_cannot_be_submitted(folder: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_submitted(smoke_run, tmp_path):
     with pytest.raises(RunError, match="printable characters"):
-        submission_of([folder], "", "Us")
+        submission_of([smoke_run], "", "Us")
     with pytest.raises(RunError, match="must be a web address"):
-        submission_of([folder], "Mine", "Us", "javascript:alert(1)")
+        submission_of([smoke_run], "Mine", "Us", "javascript:alert(1)")
     with pytest.raises(RunError, match="has no run"):
         submission_of([], "Mine", "Us")
     with pytest.raises(RunError, match="several runs of open-v1:smoke"):
-        submission_of([folder, folder], "Mine", "Us")
+        submission_of([smoke_run, smoke_run], "Mine", "Us")
     part = tmp_path / "part"
     run(Plan.of(policy="oracle", suite="open-v1:smoke", episodes=1, workers=0, clips=0, out=part), progress=False)
     with pytest.raises(RunError, match="has 1 episodes only"):
         submission_of([part], "Mine", "Us")
 
 
-def test_a_sample_is_flown_again(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_sample_is_flown_again(file, capsys):
     (checked,) = verify(read_submission(file), 2, progress=False)
     assert (checked.flown, checked.equal, checked.passed, checked.submitted) == (2, 2, 2, 2)
     assert (checked.worse, checked.better, checked.valid, checked.repeats) == (0, 0, 0, True)
@@ -209,12 +200,10 @@ def test_a_sample_is_flown_again(file: Path, capsys: pytest.CaptureFixture[str])
     )
 
 
-def test_the_sample_is_another_one_each_time_and_can_be_repeated(
-    file: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_sample_is_another_one_each_time_and_can_be_repeated(file, capsys, monkeypatch):
     flown = []
 
-    def noted(self: InProcess[Any, Any], items: Sequence[Any]) -> Iterator[Any]:
+    def noted(self, items):
         flown.append([*items])
         raise RunError("it is known what would be flown")
 
@@ -231,16 +220,14 @@ def test_the_sample_is_another_one_each_time_and_can_be_repeated(
 
 
 @pytest.mark.parametrize("options", [["--sample", "0"], ["--sample", "-1"], ["--seed", "-1"]])
-def test_a_sample_that_cannot_be_drawn_is_reported(
-    file: Path, options: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_sample_that_cannot_be_drawn_is_reported(file, options, capsys):
     with pytest.raises(SystemExit, match="2"):
         main(["verify", str(file), *options])
     assert f"{options[0]} is {options[1]}; it must be" in capsys.readouterr().err
 
 
 @pytest.fixture
-def diving(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def diving(tmp_path, monkeypatch):
     """The module of pilots whose flights are soon over."""
     (tmp_path / "diving.py").write_text(DIVING)
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -265,9 +252,7 @@ def tampered(file: Path, ends: dict[str, Any], policy: str, code: Path) -> Path:
     return file
 
 
-def test_failures_that_are_called_invalid_are_refuted(
-    file: Path, diving: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_failures_that_are_called_invalid_are_refuted(file, diving, capsys):
     invalid = {"outcome": "invalid", "chosen": None}
     submission = read_submission(tampered(file, invalid, "diving:Dive", diving))
     assert submission.runs[0].overall.n == 10
@@ -282,7 +267,7 @@ def test_failures_that_are_called_invalid_are_refuted(
 
 
 @pytest.mark.parametrize("ends", [{"outcome": "passed"}, {"outcome": "timeout", "chosen": None}])
-def test_outcomes_that_are_false_are_refuted_whatever_they_are(file: Path, diving: Path, ends: dict[str, Any]) -> None:
+def test_outcomes_that_are_false_are_refuted_whatever_they_are(file, diving, ends):
     submission = read_submission(tampered(file, ends, "diving:Dive", diving))
     (checked,) = verify(submission, 3, seed=1, policy="diving:Dive", progress=False)
     assert checked.equal < 3
@@ -310,17 +295,14 @@ def test_outcomes_that_are_false_are_refuted_whatever_they_are(file: Path, divin
         (20, 12, 5, 3, 1, False, "refuted"),
     ],
 )
-def test_a_sample_confirms_refutes_or_is_too_small(
-    flown: int, equal: int, worse: int, better: int, valid: int, repeats: bool, verdict: str
-) -> None:
+def test_a_sample_confirms_refutes_or_is_too_small(flown, equal, worse, better, valid, repeats, verdict):
     assert Verified("open-v1:test", flown, 300, equal, 9, 9, worse, better, valid, repeats, ()).verdict == verdict
 
 
-def test_what_a_sample_finds_is_reported_as_it_is() -> None:
+def test_what_a_sample_finds_is_reported_as_it_is():
     drawn = np.random.default_rng(0)
     for flown, size in ((20, 300), (60, 300), (8, 30)):
         checked = Verified("open-v1:test", flown, size, flown, 9, 9, 0, 0, 0, True, ())
-        assert checked.finds is not None
         verdicts = []
         for _ in range(400):
             false = int((drawn.choice(size, flown, replace=False) < checked.finds).sum())
@@ -329,7 +311,7 @@ def test_what_a_sample_finds_is_reported_as_it_is() -> None:
     assert Verified("open-v1:test", 300, 300, 300, 9, 9, 0, 0, 0, True, ()).finds == 4
 
 
-def test_a_pilot_that_does_not_repeat_its_flights_is_compared_by_passes(file: Path, diving: Path) -> None:
+def test_a_pilot_that_does_not_repeat_its_flights_is_compared_by_passes(file, diving):
     submission = read_submission(tampered(file, {"outcome": "collision", "chosen": None}, "diving:Moody", diving))
     (checked,) = verify(submission, 4, seed=1, policy="diving:Moody", progress=False)
     assert checked.equal < 4
@@ -337,20 +319,17 @@ def test_a_pilot_that_does_not_repeat_its_flights_is_compared_by_passes(file: Pa
     assert checked.verdict == "confirmed"  # it passes as seldom as it said
 
 
-def test_what_a_file_names_is_not_run_and_not_opened(file: Path, tmp_path: Path, capsys: Any, monkeypatch: Any) -> None:
+def test_what_a_file_names_is_not_run_and_not_opened(file, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "owned.py").write_text("open('imported', 'w').close()\n" + DIVING)
     monkeypatch.syspath_prepend(str(tmp_path))
     original = file.read_text()
     for part, name in (
-        ("policy", "os:system:touch imported"),
-        ("policy", "owned:Dive"),
-        ("policy", "remote:ws://127.0.0.1:9"),
-        ("policy", "small:/etc/passwd"),
-        ("reasoner", "replay:/etc/passwd"),
-        ("reasoner", "os:system:touch imported"),
+        ("policy", "os:system:touch imported"), ("policy", "owned:Dive"),
+        ("policy", "remote:ws://127.0.0.1:9"), ("policy", "small:/etc/passwd"),
+        ("reasoner", "replay:/etc/passwd"), ("reasoner", "os:system:touch imported"),
         ("reasoner", "vlm:http://127.0.0.1:9/v1"),
-    ):
+    ):  # fmt: skip
         document = json.loads(original)
         document["runs"][0]["run"][part] = name
         file.write_text(json.dumps(document))
@@ -371,7 +350,7 @@ def test_what_a_file_names_is_not_run_and_not_opened(file: Path, tmp_path: Path,
         assert message in capsys.readouterr().err
 
 
-def test_the_code_of_an_own_policy_is_named_by_the_person_and_must_be_the_same(tmp_path: Path, diving: Path) -> None:
+def test_the_code_of_an_own_policy_is_named_by_the_person_and_must_be_the_same(tmp_path, diving):
     plan = Plan.of(policy="diving:Dive", suite="open-v1:smoke", workers=0, clips=0, out=tmp_path / "run")
     run(plan, progress=False)
     file = tmp_path / "mine.json"
@@ -389,7 +368,7 @@ def test_the_code_of_an_own_policy_is_named_by_the_person_and_must_be_the_same(t
         run(plan.changed(resume=True), progress=False)
 
 
-def test_other_weights_are_refused(file: Path) -> None:
+def test_other_weights_are_refused(file):
     document = json.loads(file.read_text())
     document["runs"][0]["run"]["options"]["model"] = "0" * 64
     file.write_text(json.dumps(document))
@@ -397,8 +376,8 @@ def test_other_weights_are_refused(file: Path) -> None:
         verify(read_submission(file), 1, progress=False)
 
 
-def test_the_leaderboard_is_sorted(folder: Path) -> None:
-    good = submission_of([folder], "a|b", "Us", "https://example.org")
+def test_the_leaderboard_is_sorted(smoke_run):
+    good = submission_of([smoke_run], "a|b", "Us", "https://example.org")
     rows = leaderboard([good], ["open-v1:smoke", "open-v1:test"])
     assert rows == [["[a|b](https://example.org)", "Us", "`oracle` (ground truth)", "`none`", "100.0 (89 to 100)", "–"]]
 
@@ -413,9 +392,9 @@ def test_the_leaderboard_is_sorted(folder: Path) -> None:
         "[^1]",
     ],
 )  # fmt: skip
-def test_texts_of_a_submission_are_text_in_the_table(folder: Path, text: str) -> None:
+def test_texts_of_a_submission_are_text_in_the_table(smoke_run, text):
     markdown_of = pytest.importorskip("markdown").markdown
-    (row,) = leaderboard([submission_of([folder], text, text)], ["open-v1:smoke"])
+    (row,) = leaderboard([submission_of([smoke_run], text, text)], ["open-v1:smoke"])
     page = markdown_of(markdown(["pilot", "by", "policy", "reasoner", "score"], [row]), extensions=["extra"])
     cells = re.findall(r"<td>(.*?)</td>", page)
     assert len(cells) == 5
@@ -425,8 +404,8 @@ def test_texts_of_a_submission_are_text_in_the_table(folder: Path, text: str) ->
     assert not re.search(r"://|www\.|@", "".join(row[:2]), re.IGNORECASE)  # what GitHub would make a link
 
 
-def test_a_policy_s_name_is_text_in_the_table(folder: Path) -> None:
-    submission = submission_of([folder], "Mine", "Us")
+def test_a_policy_s_name_is_text_in_the_table(smoke_run):
+    submission = submission_of([smoke_run], "Mine", "Us")
     (made,) = submission.runs
     for name in ("`<b>x</b>`", "<b>x</b>", "a|b"):
         shown = replace(submission, runs=(replace(made, run=replace(made.run, policy=name)),))
@@ -435,12 +414,12 @@ def test_a_policy_s_name_is_text_in_the_table(folder: Path) -> None:
         assert row[2].count("`") in (0, 2)
 
 
-def test_the_leaderboard_counts_runs_with_default_options_alone(folder: Path, tmp_path: Path) -> None:
+def test_the_leaderboard_counts_runs_with_default_options_alone(smoke_run, tmp_path):
     windy = tmp_path / "results.json"
-    document = json.loads((folder / "results.json").read_text())
+    document = json.loads((smoke_run / "results.json").read_text())
     document["options"]["wind_m_s"] = 4.0
     windy.write_text(json.dumps(document))
-    submission = submission_of([folder, windy], "Mine", "Us")
+    submission = submission_of([smoke_run, windy], "Mine", "Us")
     still, moved = submission.runs
     assert still.flown_with()
     assert not still.flown_with(wind_m_s=4.0)
@@ -450,9 +429,9 @@ def test_the_leaderboard_counts_runs_with_default_options_alone(folder: Path, tm
         assert leaderboard([replace(submission, runs=runs)], ["open-v1:smoke"])[0][4] == shown
 
 
-def test_a_run_has_its_scores_by_family_and_the_commit_that_flew_it(folder: Path) -> None:
-    (made,) = submission_of([folder], "Mine", "Us").runs
-    results = read_results(folder)
+def test_a_run_has_its_scores_by_family_and_the_commit_that_flew_it(smoke_run):
+    (made,) = submission_of([smoke_run], "Mine", "Us").runs
+    results = read_results(smoke_run)
     flown = results.summary()
     assert {name: score.passed for name, score in made.summary.families.items()} == {
         name: score.passed for name, score in flown.families.items()
@@ -463,8 +442,8 @@ def test_a_run_has_its_scores_by_family_and_the_commit_that_flew_it(folder: Path
     assert made.renderer == results.renderer
 
 
-def test_verify_says_where_something_else_draws(folder: Path, tmp_path: Path) -> None:
-    write_submission(file := tmp_path / "mine.json", submission_of([folder], "Mine", "Us"))
+def test_verify_says_where_something_else_draws(smoke_run, tmp_path):
+    write_submission(file := tmp_path / "mine.json", submission_of([smoke_run], "Mine", "Us"))
     content = json.loads(file.read_text())
     here = content["runs"][0]["renderer"]
     for there, differences in ((here, ()), ("NVIDIA H100/PCIe/SSE2", (f"renderer {here} instead of NVIDIA H100",))):
@@ -474,8 +453,8 @@ def test_verify_says_where_something_else_draws(folder: Path, tmp_path: Path) ->
         assert tuple(text.partition("/")[0] for text in checked.differences) == differences
 
 
-def test_the_command(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command(smoke_run, tmp_path, capsys):
     out = tmp_path / "mine.json"
-    main(["submit", str(folder), "--name", "Mine", "--by", "Us", "--out", str(out)])
+    main(["submit", str(smoke_run), "--name", "Mine", "--by", "Us", "--out", str(out)])
     assert "open-v1:smoke: 30 of 30 passed" in capsys.readouterr().out
     assert read_submission(out).name == "Mine"

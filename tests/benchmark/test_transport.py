@@ -1,7 +1,5 @@
 """A reasoner whose server does not answer is not scored as if it had."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

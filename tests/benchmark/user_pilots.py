@@ -1,7 +1,5 @@
 """Policies and reasoners as users write them, mistakes included."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import signal

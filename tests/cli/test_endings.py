@@ -1,7 +1,5 @@
 """How commands end: at Ctrl-C, at a second one, and at SIGTERM, whatever they are in."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -183,7 +181,6 @@ def test_a_server_ends_in_order(tmp_path, number):
     pytest.importorskip("uvicorn")
     words = ("serve", "--policy", "hover", "--port", "0")
     with started(tmp_path, "-m", "cognitivedrone", *words) as process:
-        assert process.stdout is not None
         for line in process.stdout:
             if "ws://" in line:
                 break

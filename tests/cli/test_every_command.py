@@ -1,7 +1,5 @@
 """Every command, run for real: in a hostile folder, with a fresh home, without a usable terminal."""
 
-from __future__ import annotations
-
 import importlib.util
 import re
 import shutil

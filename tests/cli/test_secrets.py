@@ -1,7 +1,5 @@
 """Passwords and tokens in the addresses that a user gives: nothing that is stored or printed of a run has them."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """What a command prints reaches the reader, whatever the output can show; and nothing is reported to anybody."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What is printed is text: brackets are no markup, and nothing in data reaches the terminal as a command."""
 
-from __future__ import annotations
-
 import io
 import re
 from pathlib import Path

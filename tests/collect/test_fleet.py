@@ -1,7 +1,5 @@
 """Recorded flights: alone or in company the same bits, replayed to the bit, labelled clean."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 
 import numpy as np

@@ -1,14 +1,12 @@
 """DAgger from the command: a policy's flights, relabelled, are a set of their own, the same bytes every time."""
 
-from __future__ import annotations
-
 import hashlib
 import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from collect_pools import flying, forwards
+from collect_pools import digests, flying, forwards
 from tiny import DESCRIPTION, tiny_model
 
 from cognitivedrone.collect import collector
@@ -35,11 +33,6 @@ def model(tiny_model_file, tmp_path):
 def config(out, model, **changes):
     settings = {"recipe": "debug", "episodes": 5, "episodes_per_shard": 2, "policy": f"small:{model}", "beta": BETA}
     return CollectPlan.of(out=out, **(settings | changes))
-
-
-def digests(folder):
-    files = sorted(path for path in folder.rglob("*") if path.is_file())
-    return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
 def test_a_policy_flies_and_the_expert_labels_whatever_comes_of_it(tmp_path, model, monkeypatch):

@@ -1,7 +1,5 @@
 """A two-node Ray cluster on this machine makes the same bytes. Needs the extra `ray`."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Fixtures over synthetic flights; the flights are made in factory.py, stores of them in made_stores.py."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

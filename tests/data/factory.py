@@ -1,7 +1,5 @@
 """Synthetic flights: smooth, seeded, cheap, and as odd in their numbers as real ones."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from cognitivedrone.data.episode import Conditions, Encoding, Episode, encode_image

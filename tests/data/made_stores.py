@@ -1,7 +1,5 @@
 """Stores of synthetic flights."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path

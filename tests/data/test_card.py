@@ -1,7 +1,5 @@
 """The card is one page that loads nothing, escapes everything and shows every family."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from dataclasses import replace
@@ -15,9 +13,7 @@ from made_stores import write_store
 
 from cognitivedrone.cli import main
 from cognitivedrone.data.card import HEIGHT, WIDTH, card, columns, flight_map, traces
-from cognitivedrone.data.episode import Episode
-from cognitivedrone.data.overview import ACTION_NAMES, Histogram, overview
-from cognitivedrone.data.store import Store
+from cognitivedrone.data.overview import ACTION_NAMES, Histogram
 from cognitivedrone.errors import DataError
 from cognitivedrone.tasks import BASE_FAMILIES
 
@@ -38,7 +34,7 @@ class Page(HTMLParser):
         self.text += data
 
 
-def test_card_shows_every_family_and_loads_nothing(sound_store: Path, tmp_path: Path, flights: list[Episode]) -> None:
+def test_card_shows_every_family_and_loads_nothing(sound_store, tmp_path, flights):
     card(sound_store, tmp_path / "card.html")
     page = Page(tmp_path / "card.html")
     assert all(family.replace("_", " ") in page.text for family in BASE_FAMILIES)
@@ -53,7 +49,7 @@ def test_card_shows_every_family_and_loads_nothing(sound_store: Path, tmp_path: 
     assert not re.search(r"url\(|https?://", (tmp_path / "card.html").read_text())
 
 
-def test_card_shows_what_the_camera_that_looks_down_saw(tmp_path: Path) -> None:
+def test_card_shows_what_the_camera_that_looks_down_saw(tmp_path):
     flight = make_episode(0, length=4, down=True)
     card(write_store(tmp_path / "store", [flight]), tmp_path / "card.html")
     page = Page(tmp_path / "card.html")
@@ -62,31 +58,21 @@ def test_card_shows_what_the_camera_that_looks_down_saw(tmp_path: Path) -> None:
     assert "those of a camera that looks down" in page.text
 
 
-def test_flights_below_an_hour_are_shown_in_minutes(sound_store: Path, tmp_path: Path, flights: list[Episode]) -> None:
-    card(sound_store, tmp_path / "card.html")
-    minutes = sum(map(len, flights)) / 10 / 60
-    assert f"{minutes:.1f} min of flight" in Page(tmp_path / "card.html").text
-    seen = overview(Store.open(sound_store))
-    assert [replace(seen, hours=hours).flown for hours in (0.99, 1.0, 12.34)] == ["59.4 min", "1.0 h", "12.3 h"]
-
-
-def test_the_command_says_where_the_card_is(
-    sound_store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_says_where_the_card_is(sound_store, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     main(["data", "report", str(sound_store)])
     assert capsys.readouterr().out == f"report: {tmp_path / 'card.html'}\n"
     assert (tmp_path / "card.html").exists()
 
 
-def test_the_same_store_has_the_same_card(sound_store: Path, tmp_path: Path) -> None:
+def test_the_same_store_has_the_same_card(sound_store, tmp_path):
     shutil.copytree(sound_store, tmp_path / "copy")
     card(sound_store, tmp_path / "a.html")
     card(tmp_path / "copy", tmp_path / "b.html")
     assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
 
 
-def test_text_is_escaped(tmp_path: Path) -> None:
+def test_text_is_escaped(tmp_path):
     flight = make_episode(0, length=2)
     hostile = replace(flight, task=replace(flight.task, instruction="Fly <script>alert(1)</script> & back"))
     card(write_store(tmp_path / "store", [hostile]), tmp_path / "card.html")
@@ -95,7 +81,7 @@ def test_text_is_escaped(tmp_path: Path) -> None:
     assert "Fly <script>alert(1)</script> & back" in page.text
 
 
-def test_what_cannot_be_shown_is_refused(tmp_path: Path, sound_store: Path) -> None:
+def test_what_cannot_be_shown_is_refused(tmp_path, sound_store):
     with pytest.raises(DataError, match="holds no episode"):
         card(write_empty(tmp_path / "empty"), tmp_path / "card.html")
     flight = make_episode(0, length=2)
@@ -118,13 +104,13 @@ def write_empty(path: Path) -> Path:
     return path
 
 
-def test_histogram_columns_fill_the_box() -> None:
+def test_histogram_columns_fill_the_box():
     first, last = columns(Histogram("x", "m", -1, 1, (5, 0, 0, 10)))
     assert (first.x, first.height, last.x, last.y, last.height) == (0, HEIGHT / 2, 0.75 * WIDTH, 0, HEIGHT)
     assert first.title == "-1.00 to -0.50 m: 5"
 
 
-def test_traces_show_what_was_sent_only_where_it_differs() -> None:
+def test_traces_show_what_was_sent_only_where_it_differs():
     flight = make_episode(1, length=5)
     clean = replace(flight, sent=flight.action.copy())
     assert [trace.sent for trace in traces(clean, ACTION_NAMES)] == [""] * 4
@@ -133,7 +119,7 @@ def test_traces_show_what_was_sent_only_where_it_differs() -> None:
     assert traces(still, ACTION_NAMES)[0].label == "0.0,20.0 25.0,20.0 50.0,20.0 75.0,20.0 100.0,20.0"
 
 
-def test_the_map_has_every_flight_in_the_colour_of_its_gate(flights: list[Episode]) -> None:
+def test_the_map_has_every_flight_in_the_colour_of_its_gate(flights):
     seen = flight_map(flights[:5])
     assert [path.color for path in seen.paths] == [f.task.gates[f.task.target].color for f in flights[:5]]
     x, y, width, height = map(float, seen.view_box.split())

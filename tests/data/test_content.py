@@ -1,7 +1,5 @@
 """Stores that were forged with care, checksums and all: what is of no use in them is found, and not read."""
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A file of any format, damaged anywhere, is read or refused in one sentence."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import shutil

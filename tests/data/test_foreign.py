@@ -1,7 +1,5 @@
 """RLDS and LeRobot sets that this package did not make, or that lack their descriptions."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

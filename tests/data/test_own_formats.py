@@ -1,7 +1,5 @@
 """A user's own formats, named as module:attribute: what does not look like a reader or writer is not called."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 

@@ -105,11 +105,8 @@ def test_a_flight_of_others_is_rebuilt_from_its_poses(foreign):
     original = FLIGHTS[2][1]
     ((split, episode),) = import_(foreign.parents[1], "published")
     assert (split, episode.suite, episode.task.family, episode.task.id) == (
-        "train",
-        "published",
-        "animals",
-        f"Animals/{foreign.name}",
-    )
+        "train", "published", "animals", f"Animals/{foreign.name}",
+    )  # fmt: skip
     assert len(episode) == len(original) - 1
     np.testing.assert_allclose(episode.action, original.action[:-1], atol=1e-5)
     np.testing.assert_allclose(episode.yaw_rate[1:], original.yaw_rate[:-2], atol=1e-5)

@@ -41,10 +41,6 @@ def shard(out, split="train"):
     return out / f"cognitivedrone/1.0.0/cognitivedrone-{split}.tfrecord-00000-of-00001"
 
 
-def test_the_inner_folder_opens_too(exported):
-    assert len(list(import_(exported / "cognitivedrone/1.0.0", "rlds"))) == len(FLIGHTS)
-
-
 def test_info_tells_what_the_shards_hold(exported):
     info = json.loads((exported / "cognitivedrone/1.0.0/dataset_info.json").read_text())
     assert {split["name"]: split["shardLengths"] for split in info["splits"]} == {"train": ["3"], "val": ["1"]}

@@ -8,7 +8,7 @@ import pytest
 from factory import make_episode
 
 from cognitivedrone.data.episode import Episode, Split
-from cognitivedrone.data.formats import export, rlds
+from cognitivedrone.data.formats import export, import_, rlds
 from cognitivedrone.data.formats.rlds_steps import RldsSteps
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError
@@ -62,7 +62,9 @@ def test_a_second_camera_changes_nothing_of_them(tmp_path):
 
 
 def test_the_inner_folder_opens_too_and_has_the_same_content(steps, exported):
-    assert RldsSteps(exported / "cognitivedrone/1.0.0").content_hash() == steps.content_hash()
+    inner = exported / "cognitivedrone/1.0.0"
+    assert RldsSteps(inner).content_hash() == steps.content_hash()
+    assert len(list(import_(inner, "rlds"))) == len(steps.tasks())
 
 
 def test_an_episode_that_is_there_twice_is_named(sound_store, tmp_path):

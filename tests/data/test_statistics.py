@@ -1,7 +1,5 @@
 """Statistics say what the actions are; splits are fixed, as large as they say, and have their share of every family."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,11 +1,10 @@
 """The summary in the terminal says how many, how long, how large and what the actions look like."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
+from made_stores import write_store
 from rich.console import Console
 
 from cognitivedrone.data.episode import Episode
@@ -15,11 +14,16 @@ from cognitivedrone.errors import DataError
 from cognitivedrone.tasks import BASE_FAMILIES
 
 
-def test_summary_names_what_is_in_the_set(sound_store: Path, flights: list[Episode]) -> None:
+def shown(store: Path) -> str:
     console = Console(width=160, record=True)
     with console.capture() as captured:
-        console.print(summary(sound_store))
-    text = captured.get()
+        console.print(summary(store))
+    return captured.get()
+
+
+def test_summary_names_what_is_in_the_set(sound_store: Path, flights: list[Episode], tmp_path: Path) -> None:
+    assert "No flight was dropped." in shown(write_store(tmp_path / "one", flights[:1]))
+    text = shown(sound_store)
     assert f"40 episodes, {sum(map(len, flights))} steps" in text
     assert "recipe test, suite open-v1:train, seed 3" in text
     assert "frames as png (40 episodes)" in text

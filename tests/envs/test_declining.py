@@ -1,7 +1,5 @@
 """How a stage ends when the pilot says that what is asked for is not there."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What docs/gymnasium.md shows runs, and what it says of spaces, arguments and tables is so."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import runpy

@@ -1,7 +1,5 @@
 """The state and the reward for learning to fly: they lead a simple controller through the right gate."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Loggers of episodes, as Gymnasium and training code have them: no key of theirs is ours."""
 
-from __future__ import annotations
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -59,32 +57,6 @@ def test_statistics_are_recorded_in_our_own_vector_environment():
     many = CognitiveDroneVectorEnv(2, SUITE, time_limit_s=SHORT, threads=1)
     infos = flown(gym.wrappers.vector.RecordEpisodeStatistics(many), np.zeros((2, 4), np.float32))
     assert len(logged(infos)) >= 2
-
-
-def test_the_environments_of_cleanrls_ppo_log_each_episode_once():
-    """`make_env` and the logging block of its ppo_continuous_action.py, with Gymnasium 1."""
-
-    def make_env():
-        env: gym.Env = gym.wrappers.FlattenObservation(made())
-        env = gym.wrappers.ClipAction(gym.wrappers.RecordEpisodeStatistics(env))
-        env = gym.wrappers.NormalizeObservation(env)
-        env = gym.wrappers.TransformObservation(env, lambda seen: np.clip(seen, -10, 10), env.observation_space)
-        return gym.wrappers.TransformReward(
-            gym.wrappers.NormalizeReward(env), lambda reward: max(-10.0, min(float(reward), 10.0))
-        )
-
-    envs = SyncVectorEnv([make_env] * 2, autoreset_mode=AutoresetMode.SAME_STEP)
-    envs.reset(seed=1)
-    lengths = []
-    for _ in range(8):
-        *_, terminations, truncations, infos = envs.step(np.zeros((2, 4), np.float32))
-        if "final_info" in infos and "episode" in infos["final_info"]:
-            done = infos["final_info"]["_episode"]
-            lengths += infos["final_info"]["episode"]["l"][done].tolist()
-            assert (done == (terminations | truncations)).all()
-    envs.close()
-    assert lengths
-    assert set(lengths) == {3}
 
 
 @pytest.mark.parametrize("many", [False, True])

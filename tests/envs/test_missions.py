@@ -1,7 +1,5 @@
 """Missions and clutter through Gymnasium: what a pilot is told, landings, obstacles."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 

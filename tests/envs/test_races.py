@@ -1,14 +1,12 @@
 """Races in flight: one visible gate at a time, each followed by the next."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, stage_of
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies.expert import Expert
 from cognitivedrone.sim.drone_world import Start
@@ -63,12 +61,6 @@ def test_the_only_gate_is_drawn_where_it_always_stands_and_nothing_else_is(track
     # Above the gates hang the panels: with all of them there is paper on the grey of the walls, without there is none.
     assert (alone[:100] == alone[0, 0]).all()
     assert not (everything[:100] == everything[0, 0]).all()
-
-
-def test_the_stage_knows_which_gate_stands():
-    task = race_task(0)
-    assert stage_of(task).only == task.target
-    assert stage_of(replace(task, only=None)).only is None
 
 
 def test_the_expert_flies_from_gate_to_gate(track_runner):

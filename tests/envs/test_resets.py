@@ -1,7 +1,5 @@
 """Partial resets are those of Gymnasium's own vector environments; what no environment takes is refused."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from functools import partial

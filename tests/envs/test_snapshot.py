@@ -1,7 +1,5 @@
 """The picture of `view`."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """One list of checks for every way to fly many: our vector environment, and Gymnasium's two around single ones."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """What learners with networks get: instructions as vectors, smaller images, and a run of Stable-Baselines3."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess
@@ -89,14 +87,9 @@ def test_the_example_of_stable_baselines3_trains(tmp_path):
     pytest.importorskip("stable_baselines3", reason="the example needs stable-baselines3")
     assert len(EXAMPLE.read_text().splitlines()) < 30
     done = subprocess.run(
-        [sys.executable, EXAMPLE, "256"],
-        cwd=tmp_path,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+        [sys.executable, EXAMPLE, "256"], cwd=tmp_path, env={**os.environ, "OMP_NUM_THREADS": "1"},
+        capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert re.search(r"total_timesteps +\| 256", done.stdout)
     from stable_baselines3 import PPO

@@ -9,8 +9,6 @@ An environment of its own, and a data set to open:
 It exits with an error at the first thing that is not as it should be.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -9,8 +9,6 @@ Start both as steps 5 and 6 of docs/gazebo.md say, on t/stage_1.sdf; then, with 
 It exits with an error at the first thing that is not as gazebo.md, beside this file, asks. Times are Gazebo's.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory

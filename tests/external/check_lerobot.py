@@ -12,8 +12,6 @@ Plain `pip install lerobot` does too, and takes more space. With video, torchcod
 It exits with an error at the first thing that is not as it should be.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

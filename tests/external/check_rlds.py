@@ -9,8 +9,6 @@ An environment of its own, because TensorFlow's pins conflict with ours, and a d
 It exits with an error at the first thing that is not as it should be.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time

@@ -1,7 +1,5 @@
 """Names of data as names of files, and files that are none."""
 
-from __future__ import annotations
-
 import errno
 import os
 import socket

@@ -1,7 +1,5 @@
 """One lock for all that write a folder over time, and one sentence where the file system has none."""
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import os
@@ -122,8 +120,6 @@ def test_a_script_holds_the_lock_until_it_ends(tmp_path):
     with subprocess.Popen(
         ["bash", "-c", f"{lock} && echo held && read"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as script:
-        assert script.stdin is not None
-        assert script.stdout is not None
         assert script.stdout.readline() == "held\n"
         with pytest.raises(RunError, match="another process is busy"), sole_writer(tmp_path, RunError, "busy"):
             pass

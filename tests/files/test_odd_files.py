@@ -1,7 +1,5 @@
 """What is named on the command line or lies in a folder of others: no pipe, device or sparse file hangs a reader."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

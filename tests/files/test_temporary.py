@@ -1,7 +1,5 @@
 """Temporary folders: removed by their process, or by the next one where it was killed."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

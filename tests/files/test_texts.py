@@ -1,7 +1,5 @@
 """Text files of people, from Windows, Excel and editors: read where they can mean one thing, else one sentence."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Episodes flown step by step are those of the benchmark, whatever harness flies them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

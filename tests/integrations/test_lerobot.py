@@ -1,7 +1,5 @@
 """The environment that LeRobot's evaluation flies: spaces, seeds, results. Needs no package of LeRobot's."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

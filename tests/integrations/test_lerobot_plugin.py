@@ -3,8 +3,6 @@
 Needs lerobot and the plug-in, in an environment of their own (docs/gymnasium.md).
 """
 
-from __future__ import annotations
-
 import json
 import sys
 
@@ -34,18 +32,11 @@ def lerobot_eval(monkeypatch, *arguments):
 
 def test_a_checkpoint_flies_under_lerobot_as_in_the_benchmark(checkpoint, tmp_path, monkeypatch):
     lerobot_eval(
-        monkeypatch,
-        "--env.discover_packages_path=lerobot_env_cognitivedrone",
-        "--env.suite=open-v1:smoke",
-        "--env.time_limit_s=30",
-        f"--env.results={tmp_path / 'results.jsonl'}",
-        f"--policy.path={checkpoint}",
-        "--policy.device=cpu",
-        f"--output_dir={tmp_path / 'out'}",
-        "--seed=0",
-        "--eval.n_episodes=2",
+        monkeypatch, "--env.discover_packages_path=lerobot_env_cognitivedrone", "--env.suite=open-v1:smoke",
+        "--env.time_limit_s=30", f"--env.results={tmp_path / 'results.jsonl'}", f"--policy.path={checkpoint}",
+        "--policy.device=cpu", f"--output_dir={tmp_path / 'out'}", "--seed=0", "--eval.n_episodes=2",
         "--eval.batch_size=1",
-    )
+    )  # fmt: skip
     theirs = [json.loads(line) for line in (tmp_path / "results.jsonl").read_text().splitlines()]
     scored = evaluate(f"lerobot:{checkpoint},device=cpu", suite="open-v1:smoke", episodes=2, workers=0, progress=False)
     for ours, flown in zip(scored.results.episodes, theirs, strict=True):

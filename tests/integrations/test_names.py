@@ -1,7 +1,5 @@
 """Names that must agree with what other packages read, checked without those packages."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import tomllib

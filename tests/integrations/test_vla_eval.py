@@ -1,7 +1,5 @@
 """The suites in AllenAI's own harness: its orchestrator, its runners, its websocket protocol."""
 
-from __future__ import annotations
-
 import asyncio
 import dataclasses
 

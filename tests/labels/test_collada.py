@@ -1,7 +1,5 @@
 """Label folders of the published collector: COLLADA panels that name their pictures, in folders by category."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 

@@ -3,7 +3,6 @@
 import json
 import os
 import pickle
-import re
 import socket
 from pathlib import Path
 
@@ -15,7 +14,6 @@ from cognitivedrone.errors import LabelError
 from cognitivedrone.labels import load_pack
 from cognitivedrone.labels.extended import extended_pack
 from cognitivedrone.labels.folder import FolderPack, digest_of_labels
-from cognitivedrone.pictures import reading
 
 PUBLISHED = Path(__file__).resolve().parents[3] / "shared" / "upstream"
 MISSING = {"Elvis_Persley", "Ludwig_Van_Beethoven", "taylor_swift", "leopard", "rat", "sparrow"}
@@ -80,11 +78,6 @@ def test_panels_of_several_show_the_folders_own_images(folder):
     assert (image == (255, 0, 0)).all(axis=2).mean() > 0.9
 
 
-def test_transparent_images_are_laid_on_white(tmp_path):
-    save(tmp_path / "shape" / "nothing.png", (0, 0, 0, 0), mode="RGBA")
-    assert (load_pack(str(tmp_path)).image("shape/nothing") == 255).all()
-
-
 @pytest.mark.parametrize(
     ("reference", "message"),
     [
@@ -110,34 +103,8 @@ def test_an_empty_folder_is_refused(tmp_path):
 def test_files_that_are_no_images_are_named(tmp_path):
     (tmp_path / "animal").mkdir()
     (tmp_path / "animal" / "cat.png").write_text("print('hello')")
-    save(tmp_path / "animal" / "whole.png", size=(200, 200))
-    whole = (tmp_path / "animal" / "whole.png").read_bytes()
-    (tmp_path / "animal" / "torn.png").write_bytes(whole[: len(whole) // 2])
-    Image.new("RGB", (8, 8)).save(tmp_path / "animal" / "disguised.png", format="GIF")
-    pack = load_pack(str(tmp_path))
-    for concept, says in (
-        ("cat", "it is text that begins with 'print('hello')'; save it as PNG or JPEG, or remove it"),
-        ("torn", ".*; copy or save it again"),
-        ("disguised", "it is a GIF picture; save it as PNG or JPEG"),
-    ):
-        with pytest.raises(LabelError) as refused:
-            pack.image(f"animal/{concept}")
-        assert re.search(
-            rf"{concept}\.png cannot be read as PNG, JPEG or WebP: {says if '.*' in says else re.escape(says)}$",
-            str(refused.value),
-        )
-        assert "object at 0x" not in str(refused.value)
-
-
-def test_images_beyond_the_limits_are_not_decoded(tmp_path, monkeypatch):
-    (tmp_path / "animal").mkdir()
-    Image.new("1", (8000, 5001)).save(tmp_path / "animal" / "wide.png")
-    pack = load_pack(str(tmp_path))
-    with pytest.raises(LabelError, match="8000x5001 pixels"):
-        pack.image("animal/wide")
-    monkeypatch.setattr(reading, "MAX_FILE_BYTES", 10)
-    with pytest.raises(LabelError, match=r"wide\.png cannot be read: it has [0-9,]+ bytes"):
-        pack.image("animal/wide")
+    with pytest.raises(LabelError, match=r"cat\.png cannot be read as PNG, JPEG or WebP: it is text that begins"):
+        load_pack(str(tmp_path)).image("animal/cat")
 
 
 def test_an_image_that_is_too_large_is_refused_before_its_content_is_read(tmp_path):
@@ -269,16 +236,9 @@ def test_folders_that_differ_in_case_or_accents_alone_are_one_kind(tmp_path):
         pack.image("the\u0301/cafe")
 
 
-LITTER = (
-    ".DS_Store", "._cat.png", ".hidden.png", "Thumbs.db", "desktop.ini", "animal/._cat.png", "animal/.cat.png.swp.png",
-    "animal/.ipynb_checkpoints/cat-checkpoint.png", "animal/@eaDir/cat.png", "__MACOSX/animal/cat.png",
-    "__MACOSX/animal/._cat.png", "#recycle/animal/old.png", "$RECYCLE.BIN/animal/old.jpg", ".git/animal/cat.png",
-    "lost+found/x.png", "animal/thumbs.DB",
-)  # fmt: skip
-"""What Macs, Windows, network disks, editors and archives leave in folders."""
-
-
-@pytest.mark.parametrize("name", LITTER)
+@pytest.mark.parametrize(
+    "name", ["._cat.png", "animal/.cat.png.swp.png", "__MACOSX/animal/cat.png", "lost+found/x.png"]
+)
 def test_what_systems_leave_in_a_folder_is_no_label(folder, name):
     before = FolderPack(folder, extended_pack("open-v3"))
     files, kinds = [*before.files()], before.kinds()
@@ -317,11 +277,3 @@ def test_pictures_that_are_not_read_are_named(folder, tmp_path):
     (alone / "cow.heic").write_bytes(b"x")
     with pytest.raises(LabelError, match=r"holds no images; .*; animal/cow\.heic cannot be read: save them as PNG"):
         load_pack(str(alone.parent))
-
-
-def test_grey_of_16_bits_turned_pictures_and_alpha_are_labels(tmp_path):
-    levels = np.linspace(0, 65535, 256)[None].repeat(256, 0).astype(np.uint16)
-    (tmp_path / "animal").mkdir()
-    Image.fromarray(levels).save(tmp_path / "animal" / "cat.png")
-    image = load_pack(str(tmp_path)).image("animal/cat")
-    assert (image == np.arange(256)[None, :, None]).all()

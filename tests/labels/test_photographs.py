@@ -1,7 +1,5 @@
 """The pack open-v3: all of open-v2 unchanged, and photographs, which no training shows."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json
@@ -71,16 +69,3 @@ def test_training_shows_none_of_them():
         for label in LABELS:
             kind, _, concept = label.partition("@")[0].partition("/")
             assert all("@photo" not in reference for reference in pictures.references(kind, concept))
-
-
-@pytest.mark.parametrize(
-    ("label", "message"),
-    [
-        ("animal/dragon@photo", "no such cut-out drawing"),
-        ("animal/cat@photo~1", "no such cut-out drawing; did you mean"),
-        ("animal/cat@phot", "no style 'phot'"),
-    ],
-)
-def test_what_is_missing_is_named(label, message):
-    with pytest.raises(LabelError, match=message):
-        PACK.image(label)

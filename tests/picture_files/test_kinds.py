@@ -1,7 +1,5 @@
 """What a file is whose name promises a picture, and what to do with it."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import struct

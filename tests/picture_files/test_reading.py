@@ -1,7 +1,5 @@
 """Pictures of any depth, transparency, colour space and orientation are read as people see them."""
 
-from __future__ import annotations
-
 import io
 import struct
 import zlib

@@ -1,7 +1,5 @@
 """Who reaches the page, and how: beside other programs of the host, behind a proxy, through a tunnel, over ssh."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import threading
@@ -17,7 +15,7 @@ from cognitivedrone.errors import TaskError
 from cognitivedrone.play import app as play_app
 from cognitivedrone.play.app import Replay
 from cognitivedrone.play.config import PageSpec, PlayPlan
-from cognitivedrone.play.server import Channels, Guarded, serving_page
+from cognitivedrone.play.server import Channels, serving_page
 from cognitivedrone.play.studio import Studio
 
 TOKEN = "a&token;of=16+/%"  # noqa: S105
@@ -34,14 +32,6 @@ def test_the_token_is_read_beside_the_cookies_of_others_and_escaped():
         ):  # fmt: skip
             assert ask(address, "static/app.js", headers={"Cookie": cookies})[0] == 200
         assert ask(address, headers={"Cookie": f"cognitivedrone-1={escaped}"})[0] == 403
-
-
-def test_two_pages_of_one_host_set_cookies_of_their_own():
-    names = set()
-    for port in (8090, 8091):
-        guarded = Guarded(lambda *_: None, port, "127.0.0.1", TOKEN)
-        names.add(guarded._cookie)
-    assert len(names) == 2
 
 
 @pytest.mark.parametrize(

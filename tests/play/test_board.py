@@ -1,7 +1,5 @@
 """What the page is told of a scene."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The live page in Chromium: type, watch, drop a picture, reload in flight, two tabs."""
 
-from __future__ import annotations
-
 import shutil
 import time
 

@@ -1,7 +1,5 @@
 """The live page: who may open it, what it shows, what people can do there; and that it changes nothing in a flight."""
 
-from __future__ import annotations
-
 import io
 import json
 import time
@@ -12,7 +10,6 @@ import urllib.request
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from PIL import ExifTags, Image
 from play_person import PAGE, Person, playing, png
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
@@ -20,7 +17,6 @@ from websockets.sync.client import connect
 from cognitivedrone.apps.config import FlyPlan
 from cognitivedrone.apps.fly import fly_mission
 from cognitivedrone.errors import CognitiveDroneError, LabelError, ServerError
-from cognitivedrone.labels import load_pack
 from cognitivedrone.play import server
 from cognitivedrone.play.app import play
 from cognitivedrone.play.board import LiveBoard, Sticks, pose_between
@@ -95,12 +91,8 @@ def test_the_page_needs_nothing_from_elsewhere_and_is_small(page):
     for foreign in (b"http://", b"https://", b"@import", b"//cdn"):
         assert foreign not in whole
     for path in (
-        "static/../server.py",
-        "static/%2e%2e/server.py",
-        "static/none.js",
-        "etc/passwd",
-        "static/__init__.py",
-    ):
+        "static/../server.py", "static/%2e%2e/server.py", "static/none.js", "etc/passwd", "static/__init__.py",
+    ):  # fmt: skip
         assert ask(address, path)[0] == 404
 
 
@@ -197,26 +189,13 @@ def test_a_picture_that_is_too_large_is_refused_while_it_arrives(page):
     ("name", "content"),
     [
         ("a.svg", b"<svg xmlns='http://www.w3.org/2000/svg'><script>alert(1)</script></svg>"),
-        ("a.txt", b"hello"),
-        ("a.gif", b"GIF89a" + b"\0" * 40),
         ("a.png", b"\x89PNG" + b"\0" * 40),
-        ("a.png", b""),
     ],
 )
 def test_what_is_no_picture_is_refused_by_its_name_and_leaves_nothing(tmp_path, name, content):
     with pytest.raises(LabelError, match=rf"^'{name}' cannot be read as PNG, JPEG or WebP: it is .*; .*"):
         keep_picture(tmp_path, name, content, 0)
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
-
-
-def test_a_dropped_picture_of_16_bits_is_turned_and_keeps_its_levels(tmp_path):
-    levels, buffer = np.linspace(0, 65535, 256)[None].repeat(8, 0).astype(np.uint16), io.BytesIO()
-    exif = Image.Exif()
-    exif[ExifTags.Base.Orientation] = 3
-    Image.fromarray(levels).save(buffer, "PNG", exif=exif)
-    kept = keep_picture(tmp_path, "depth.png", buffer.getvalue(), 0)
-    image = load_pack(str(tmp_path)).image(kept.reference)
-    assert (image == np.arange(256)[None, ::-1, None]).all()
 
 
 @pytest.mark.parametrize(

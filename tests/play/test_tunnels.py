@@ -1,7 +1,5 @@
 """The lines of docs/play.md for nginx and for ssh, run: the page opens through them, and nobody else's script."""
 
-from __future__ import annotations
-
 import contextlib
 import getpass
 import os
@@ -17,6 +15,7 @@ from pathlib import Path
 
 import pytest
 from tests.play.test_page import Recorded, ask, live, port_of
+from waiting import free_port
 
 from cognitivedrone.play.config import PageSpec
 from cognitivedrone.play.server import Channels, serving_page
@@ -24,12 +23,6 @@ from cognitivedrone.play.server import Channels, serving_page
 DOCS = (Path(__file__).parents[2] / "docs" / "play.md").read_text("utf-8")
 PATH = f"{os.environ['PATH']}:/usr/sbin"
 FOREIGN = {"Origin": "https://evil.example"}
-
-
-def free_port():
-    with socket.socket() as any_socket:
-        any_socket.bind(("127.0.0.1", 0))
-        return any_socket.getsockname()[1]
 
 
 @contextlib.contextmanager
@@ -143,14 +136,8 @@ def tunnelled(folder, forward):
     config.write_text("".join(f"{name} {value}\n" for name, value in options.items()))
     if (checked := subprocess.run([sshd, "-t", "-f", config], capture_output=True, text=True, check=False)).returncode:
         pytest.skip(f"sshd cannot be started here: {checked.stderr.strip()}")
-    trusting = [
-        "-o",
-        "StrictHostKeyChecking=no",
-        "-o",
-        "UserKnownHostsFile=/dev/null",
-        "-o",
-        "ExitOnForwardFailure=yes",
-    ]
+    trust = ("StrictHostKeyChecking=no", "UserKnownHostsFile=/dev/null", "ExitOnForwardFailure=yes")
+    trusting = [word for option in trust for word in ("-o", option)]
     with running(sshd, "-D", "-e", "-f", str(config), "-p", str(port)) as server:
         wait_for(port, server)
         login = ["-F", "none", "-i", str(folder / "user"), "-p", str(port), "-N", *trusting, "-L", forward]

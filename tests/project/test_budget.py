@@ -1,7 +1,5 @@
 """The lines of Python that each part may have (`budget.toml`): what nobody counts grows."""
 
-from __future__ import annotations
-
 import tomllib
 from collections import Counter
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The definition of the container's image installs what the package says that it needs, and nothing to build with."""
 
-from __future__ import annotations
-
 import ast
 import fnmatch
 import re

@@ -1,7 +1,5 @@
 """The commands that the pages of docs/ tell people to type: each exists and takes the flags that it is given."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

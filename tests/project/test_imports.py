@@ -1,7 +1,5 @@
 """What importing the package loads, and what it must not."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -30,19 +28,9 @@ def test_no_room_of_the_base_loads_a_learning_framework(room):
 
 
 HEAVY = {
-    "jaxtyping",
-    "mujoco",
-    "scipy",
-    "gymnasium",
-    "av",
-    "PIL",
-    "pyarrow",
-    "onnxruntime",
-    "torch",
-    "rich",
-    "numpy",
-    "jinja2",
-}
+    "jaxtyping", "mujoco", "scipy", "gymnasium", "av", "PIL", "pyarrow", "onnxruntime", "torch", "rich",
+    "numpy", "jinja2",
+}  # fmt: skip
 
 
 LOADED = """

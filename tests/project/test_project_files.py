@@ -1,7 +1,5 @@
 """Files about the project itself: they agree with the package and have the form that tools and hosts read."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import tomllib

@@ -1,11 +1,8 @@
 """What the README tells people to type exists and runs."""
 
-from __future__ import annotations
-
 import ast
 import re
 import shlex
-import socket
 import subprocess
 import sys
 import time
@@ -15,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from typed_commands import typed
+from waiting import free_port
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text()
@@ -100,12 +98,6 @@ def opened(port, seconds=120):
         except OSError:
             assert time.monotonic() < deadline
             time.sleep(0.2)
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
 
 
 FEW = """

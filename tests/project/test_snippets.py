@@ -4,8 +4,6 @@ A line `<!-- not run: REASON -->` above a block leaves it out. In a tutorial, a 
 name, and commands run in the page's order, in a folder of the page's own.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shlex
@@ -66,14 +64,9 @@ PAGES = [page for page in sorted(DOCS.glob("*.md")) if page.name not in ELSEWHER
 
 def run(arguments: Sequence[str], folder: Path, **environment: str) -> str:
     done = subprocess.run(
-        [sys.executable, *arguments],
-        cwd=folder,
-        env={**os.environ, **environment},
-        capture_output=True,
-        text=True,
-        timeout=500,
-        check=False,
-    )
+        [sys.executable, *arguments], cwd=folder, env={**os.environ, **environment}, capture_output=True,
+        text=True, timeout=500, check=False,
+    )  # fmt: skip
     assert done.returncode == 0, f"{shlex.join(arguments)}\n{done.stdout}\n{done.stderr}"
     return done.stdout
 
@@ -144,12 +137,7 @@ def test_the_page_of_the_paper_works_on_files_of_their_form(tmp_path_factory):
                 arguments = [
                     *arguments[:drop],
                     *arguments[drop + 2 :],
-                    "--episodes",
-                    "1",
-                    "--workers",
-                    "0",
-                    "--clips",
-                    "0",
+                    *shlex.split("--episodes 1 --workers 0 --clips 0"),
                 ]
             typed(arguments, work)
             ran += 1
@@ -159,8 +147,3 @@ def test_the_page_of_the_paper_works_on_files_of_their_form(tmp_path_factory):
 @pytest.mark.parametrize(("page", "test"), ELSEWHERE.items())
 def test_what_is_run_elsewhere_is(page, test):
     assert f'"{page}"' in (ROOT / "tests" / test).read_text()
-
-
-def test_a_reason_leaves_out_only_the_block_below_it():
-    text = "<!-- not run: slow -->\n```python\na\n```\n\n```python\nb\n```\n   ```sh\n   c\n   ```\n"
-    assert [(block.text.strip(), block.not_run) for block in blocks_of(text)] == [("a", "slow"), ("b", ""), ("c", "")]

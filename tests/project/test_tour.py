@@ -1,7 +1,5 @@
 """The notebook runs from top to bottom."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

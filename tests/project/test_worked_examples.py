@@ -1,7 +1,5 @@
 """The worked examples of docs/architecture.md, applied to a copy of the package: they work, in as few files as said."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

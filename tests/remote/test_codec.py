@@ -73,30 +73,13 @@ class Harmful:
 @pytest.mark.parametrize(
     "changed",
     [
-        {"dtype": "|O", "data": pickle.dumps(Harmful())},
-        {"dtype": "O"},
-        {"dtype": "<U3"},
-        {"dtype": ">f4"},
-        {"dtype": "<f4,<f4"},
-        {"dtype": [["a", "<f4"]]},
-        {"dtype": None},
-        {"dtype": 4},
-        {"shape": [4]},
-        {"shape": [2]},
-        {"shape": [-3]},
-        {"shape": [True, 3]},
-        {"shape": [3.0]},
-        {"shape": [2**31, 2**31, 2**31, 2**31]},
-        {"shape": [2**62, 4]},
-        {"shape": [1] * 40},
-        {"shape": 3},
-        {"shape": None},
-        {"data": "text text t"},
-        {"data": [0] * 12},
-        {"data": None},
-        {"data": b""},
+        {"dtype": "|O", "data": pickle.dumps(Harmful())}, {"dtype": "O"}, {"dtype": "<U3"}, {"dtype": ">f4"},
+        {"dtype": "<f4,<f4"}, {"dtype": [["a", "<f4"]]}, {"dtype": None}, {"dtype": 4}, {"shape": [4]},
+        {"shape": [2]}, {"shape": [-3]}, {"shape": [True, 3]}, {"shape": [3.0]},
+        {"shape": [2**31, 2**31, 2**31, 2**31]}, {"shape": [2**62, 4]}, {"shape": [1] * 40}, {"shape": 3},
+        {"shape": None}, {"data": "text text t"}, {"data": [0] * 12}, {"data": None}, {"data": b""},
     ],
-)
+)  # fmt: skip
 def test_an_array_that_is_not_one_is_refused(changed):
     with pytest.raises(MessageError, match=r"^an array") as caught:
         unpack(array(**changed))
@@ -113,19 +96,11 @@ def test_a_scalar_that_is_not_one_is_refused(dtype, value):
 @pytest.mark.parametrize(
     "data",
     [
-        b"",
-        b"\xc1",
-        b"\x82\xa1a",
-        b"\xdb\xff\xff\xff\xff",
-        b"\xdf\xff\xff\xff\xff",
-        b"\x91" * 100_000,
-        b"\xa1\xff",
-        msgpack.packb(msgpack.ExtType(5, b"x")),
-        msgpack.packb({1: 2}),
-        msgpack.packb([0] * 5000),
+        b"", b"\xc1", b"\x82\xa1a", b"\xdb\xff\xff\xff\xff", b"\xdf\xff\xff\xff\xff", b"\x91" * 100_000,
+        b"\xa1\xff", msgpack.packb(msgpack.ExtType(5, b"x")), msgpack.packb({1: 2}), msgpack.packb([0] * 5000),
         pack({}) + b"\x00",
     ],
-)
+)  # fmt: skip
 def test_what_is_no_message_is_refused(data):
     with pytest.raises(MessageError, match="the message") as caught:
         unpack(data)

@@ -35,23 +35,17 @@ from cognitivedrone.types import EpisodeContext, Observation
 def test_the_policy_on_the_server_sees_the_same_numbers():
     rng = np.random.default_rng(0)
     seen = Observation(
-        image=rng.integers(0, 256, (256, 256, 3), dtype=np.uint8),
-        instruction="Fly through the gate with 3×4",
-        velocity=rng.normal(size=3).astype(np.float32),
-        height=float(rng.normal()),
-        yaw_rate=float(rng.normal()),
+        image=rng.integers(0, 256, (256, 256, 3), dtype=np.uint8), instruction="Fly through the gate with 3×4",
+        velocity=rng.normal(size=3).astype(np.float32), height=float(rng.normal()), yaw_rate=float(rng.normal()),
         time=1 / 3,
-    )
+    )  # fmt: skip
     read = read_observation(unpack(pack(observation_message(seen))), 0.0)
     assert np.array_equal(read.image, seen.image)
     assert read.velocity.dtype == np.float32
     assert np.array_equal(read.velocity, seen.velocity)
     assert (read.instruction, read.height, read.yaw_rate, read.time) == (
-        seen.instruction,
-        seen.height,
-        seen.yaw_rate,
-        seen.time,
-    )
+        seen.instruction, seen.height, seen.yaw_rate, seen.time,
+    )  # fmt: skip
 
 
 def test_a_client_may_leave_out_the_time():
@@ -73,28 +67,17 @@ IMAGE = np.zeros((256, 256, 3), np.uint8)
 @pytest.mark.parametrize(
     "changed",
     [
-        {"observation__image": IMAGE[:255]},
-        {"observation__image": IMAGE.astype(np.float32)},
-        {"observation__image": IMAGE[None]},
-        {"observation__image": [1, 2]},
-        {"observation__image": "image"},
-        {"observation__state": np.zeros(4)},
-        {"observation__state": np.zeros((1, 5))},
+        {"observation__image": IMAGE[:255]}, {"observation__image": IMAGE.astype(np.float32)},
+        {"observation__image": IMAGE[None]}, {"observation__image": [1, 2]}, {"observation__image": "image"},
+        {"observation__state": np.zeros(4)}, {"observation__state": np.zeros((1, 5))},
         {"observation__state": np.array([0, 0, np.nan, 1, 0])},
         {"observation__state": np.array([0, 0, np.inf, 1, 0])},
-        {"observation__state": np.array([0, 0, -1e300, 1, 0])},
-        {"observation__state": np.full(5, -(2**63))},
-        {"observation__state": np.zeros(5, bool)},
-        {"observation__state": [0.0] * 5},
-        {"prompt": 3},
-        {"prompt": b"Fly"},
-        {"prompt": "x" * 10_001},
-        {"time": "now"},
-        {"time": float("nan")},
-        {"time": True},
+        {"observation__state": np.array([0, 0, -1e300, 1, 0])}, {"observation__state": np.full(5, -(2**63))},
+        {"observation__state": np.zeros(5, bool)}, {"observation__state": [0.0] * 5}, {"prompt": 3},
+        {"prompt": b"Fly"}, {"prompt": "x" * 10_001}, {"time": "now"}, {"time": float("nan")}, {"time": True},
         {"time": [1]},
     ],
-)
+)  # fmt: skip
 def test_a_field_of_another_kind_is_refused_in_one_sentence(changed):
     with pytest.raises(MessageError, match=next(iter(changed)).replace("__", "/")) as caught:
         read_observation(observation(**changed), 0.0)

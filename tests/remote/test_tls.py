@@ -1,7 +1,5 @@
 """Clients name what is wrong with a server's certificate at once; trying again does not mend it."""
 
-from __future__ import annotations
-
 import ssl
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What the set-up does to a machine: system packages are asked for or announced, PyTorch may be left out."""
 
-from __future__ import annotations
-
 import importlib.util
 import io
 import json

@@ -1,7 +1,5 @@
 """The site: every page is reached, every link leads somewhere, and it builds without a warning."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import re

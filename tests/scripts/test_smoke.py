@@ -3,8 +3,6 @@
 It trains nine models and flies with them, which takes minutes: `make test-smoke` runs it, `make test` leaves it out.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -55,15 +53,8 @@ def test_the_whole_story_runs_and_runs_again(tmp_path: Path) -> None:
     manifest = json.loads((tmp_path / "manifest.json").read_text())
     recipes = {entry["recipe"] for entry in manifest["files"].values()}
     assert recipes == {
-        "reader",
-        "debug-selector",
-        "debug-language",
-        "small",
-        "flight",
-        "places",
-        "race",
-        "debug-obstacles",
-    }
+        "reader", "debug-selector", "debug-language", "small", "flight", "places", "race", "debug-obstacles",
+    }  # fmt: skip
     for name, entry in manifest["files"].items():
         assert entry["sha256"] == digest_of_file(tmp_path / name)
 

@@ -1,7 +1,5 @@
 """The tables of README and docs are made from committed files: pages, markers, descriptions and files fit together."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys
@@ -31,15 +29,9 @@ from cognitivedrone.plan import Scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 MADE = Measurement(
-    "Gates",
-    "python gates.py",
-    "a chip, 3 cores",
-    "2026-03-04",
-    "0123456789abcdef",
-    0,
-    {},
+    "Gates", "python gates.py", "a chip, 3 cores", "2026-03-04", "0123456789abcdef", 0, {},
     ({"gate": "red", "ms": 1.25},),
-)
+)  # fmt: skip
 GATES = {"gates": table_kinds.rows_of("gates", {"gate": "{gate}", "time": "{ms:.1f} ms"})}
 PAGE = "# Gates\n\n<!-- table: gates -->\n<!-- end -->\n"
 
@@ -162,13 +154,9 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     }
     for name, options in runs.items():
         plan = Plan.of(
-            policy="fake",
-            suite=name.partition("+")[0].replace("v1-", "v1:"),
-            workers=0,
-            clips=0,
-            out=out / "scores" / "small" / name,
-            **options,
-        )
+            policy="fake", suite=name.partition("+")[0].replace("v1-", "v1:"), workers=0, clips=0,
+            out=out / "scores" / "small" / name, **options,
+        )  # fmt: skip
         run(plan, progress=False, runner=benchmark_fakes.FakeRunner)
     audit = out / "audit" / "small"
     audit.mkdir(parents=True)

@@ -1,13 +1,9 @@
 """The manifest beside the shipped weights is of these files."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys
 from pathlib import Path
-
-import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 
@@ -15,7 +11,7 @@ import weights_manifest
 from weights_manifest import MANIFEST, WEIGHTS, main
 
 
-def test_the_manifest_is_of_the_shipped_files() -> None:
+def test_the_manifest_is_of_the_shipped_files():
     assert main(["--check"]) == 0
     files = json.loads((WEIGHTS / MANIFEST).read_text(encoding="utf-8"))
     small = {f"small/{name}.onnx" for name in ("eyes", "gate_selector", "language", "model")}
@@ -33,9 +29,7 @@ def test_the_manifest_is_of_the_shipped_files() -> None:
         assert facts["steps"] > 0 or facts["recipe"] in ("classifier", "concepts"), "or taken as it was pretrained"
 
 
-def test_other_weights_are_noticed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_other_weights_are_noticed(tmp_path, monkeypatch, capsys):
     weights = tmp_path / "weights"
     shutil.copytree(WEIGHTS, weights)
     monkeypatch.setattr(weights_manifest, "WEIGHTS", weights)

@@ -81,14 +81,6 @@ def test_the_log_is_as_it_was_afterwards(capsys):
     assert (logger.level, logger.propagate, list(logger.handlers)) == before
 
 
-def test_the_help_teaches(capsys):
-    with pytest.raises(SystemExit):
-        main(["serve", "--help"])
-    shown = " ".join(capsys.readouterr().out.split())
-    for words in ("--token-file", "remote:ws://HOST:PORT", "openpi", "/act", "docs/own_policy.md"):
-        assert words in shown
-
-
 def test_without_the_extra_it_says_so_in_one_sentence(monkeypatch, capsys):
     real = errors.importlib.import_module
 

@@ -7,19 +7,12 @@ import socket
 
 import pytest
 from policy_clients import Client
+from served_pilots import TOKEN, served
 
 from cognitivedrone.serving import server
 from cognitivedrone.serving.access import token_of
 from cognitivedrone.serving.config import ServePlan
 from cognitivedrone.serving.server import serving
-
-TOKEN = "a-token-of-the-tests-0123"  # noqa: S105
-
-
-@contextlib.contextmanager
-def served(**options):
-    with serving(ServePlan.of(**({"policy": "served_pilots:Counting", "port": 0} | options))) as where:
-        yield where
 
 
 def test_pings_are_answered():

@@ -52,13 +52,9 @@ def test_it_gets_the_actions_of_the_local_policy_to_the_bit(python, tiny_model_f
     monkeypatch.setenv("COGNITIVEDRONE_SERVER_TOKEN", token)
     with serving(ServePlan.of(policy=f"small:{tiny_model_file}", port=0)) as address:
         done = subprocess.run(
-            [str(python), "-c", SCRIPT, address.host, str(address.port), token],
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=300,
-            env={},
-        )
+            [str(python), "-c", SCRIPT, address.host, str(address.port), token], capture_output=True, text=True,
+            check=False, timeout=300, env={},
+        )  # fmt: skip
     assert done.returncode == 0, done.stderr
     name, actions, error, again, keys = json.loads(done.stdout)
     assert name == "small"

@@ -11,24 +11,16 @@ import numpy as np
 import pytest
 import websockets.exceptions
 from policy_clients import Client, observation, packed
-from served_pilots import Held
+from served_pilots import TOKEN, Held, served
 
 from cognitivedrone.errors import GroundTruthError, PluginError, PolicyError, ServerError, UsageError
 from cognitivedrone.serving.config import ServePlan
 from cognitivedrone.serving.server import serving
 
-TOKEN = "a-token-of-the-tests-0123"  # noqa: S105
-
 
 @pytest.fixture(scope="module")
 def address():
     with serving(ServePlan.of(policy="served_pilots:Faulty", reasoner="none", port=0)) as where:
-        yield where
-
-
-@contextlib.contextmanager
-def served(**options):
-    with serving(ServePlan.of(**({"policy": "served_pilots:Counting", "port": 0} | options))) as where:
         yield where
 
 
@@ -88,8 +80,7 @@ def test_clients_do_not_see_each_other(address):
 
 def test_what_waits_goes_into_one_batch(monkeypatch):
     monkeypatch.setattr(Held, "sizes", [])
-    Held.go.clear()
-    Held.busy.clear()
+    Held.hold()
     with served(policy="served_pilots:Held", batch=3) as address, contextlib.ExitStack() as stack:
         clients = [stack.enter_context(Client(address)) for _ in range(5)]
         clients[0].send(observation())
@@ -109,8 +100,7 @@ def test_what_waits_goes_into_one_batch(monkeypatch):
 
 
 def test_a_client_that_leaves_in_the_middle_disturbs_nobody():
-    Held.go.clear()
-    Held.busy.clear()
+    Held.hold()
     with served(policy="served_pilots:Held", clients=2) as address, Client(address) as one:
         with Client(address) as leaving:
             leaving.send(observation())
@@ -213,8 +203,7 @@ def test_a_silent_client_makes_room():
 
 
 def test_no_more_waiting_observations_than_allowed():
-    Held.go.clear()
-    Held.busy.clear()
+    Held.hold()
     with served(policy="served_pilots:Held", queue=1) as address, contextlib.ExitStack() as stack:
         clients = [stack.enter_context(Client(address)) for _ in range(3)]
         clients[0].send(observation())
@@ -232,14 +221,6 @@ def test_no_more_waiting_observations_than_allowed():
         for thread in threads:
             thread.join()
         assert sum(isinstance(answer, dict) for answer in answers) == 2
-
-
-def closed(connection):
-    """Whether the server ended the connection; waits until it does."""
-    try:
-        return connection.recv(1) == b""
-    except ConnectionResetError:
-        return True
 
 
 @pytest.fixture(scope="module")

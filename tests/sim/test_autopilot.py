@@ -1,7 +1,5 @@
 """The autopilot answers velocity setpoints as ArduCopter does."""
 
-from __future__ import annotations
-
 import csv
 import math
 from functools import cache
@@ -16,13 +14,10 @@ from cognitivedrone.sim.responses import ARDUCOPTER, STEPS, OwnMotion, ResponseT
 
 RECORDS = Path(__file__).parents[2].parent / "shared" / "arducopter"
 FILES = {
-    "forward 1 m/s": "a_forward_1",
-    "forward 2 m/s": "b_forward_2",
-    "left 1 m/s": "c_left_1",
-    "climb 0.5 m/s": "d_climb_0p5",
-    "yaw 0.5 rad/s": "e_yaw_0p5",
+    "forward 1 m/s": "a_forward_1", "forward 2 m/s": "b_forward_2", "left 1 m/s": "c_left_1",
+    "climb 0.5 m/s": "d_climb_0p5", "yaw 0.5 rad/s": "e_yaw_0p5",
     "forward 1.5 m/s, yaw 0.4 rad/s": "f_forward_1p5_yaw_0p4",
-}
+}  # fmt: skip
 both = pytest.mark.parametrize("airframe", AIRFRAMES)
 every_step = pytest.mark.parametrize("name", STEPS)
 

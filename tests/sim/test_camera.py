@@ -1,5 +1,4 @@
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -48,7 +47,7 @@ FLAGS = [flag(), flag(200, 150), flag(100, 300)]
 
 
 @pytest.fixture(scope="module")
-def cameras() -> Iterator[Cameras]:
+def cameras():
     with Cameras(3) as made:
         yield made
 
@@ -77,9 +76,7 @@ def see(cameras: Cameras, position: FloatArray, quaternion: FloatArray = LEVEL, 
     ids=["start", "aside", "yaw", "pitch", "all"],
 )
 @pytest.mark.parametrize("stage", [STAGE, TURNED], ids=["home", "turned"])
-def test_gates_are_seen_where_a_pinhole_camera_sees_them(
-    cameras: Cameras, stage: Stage, position: FloatArray, quaternion: FloatArray
-) -> None:
+def test_gates_are_seen_where_a_pinhole_camera_sees_them(cameras, stage, position, quaternion):
     cameras.set_stage(0, stage, [GREY] * 3)
     world = rotate_yaw(position, stage.yaw) + np.array([*stage.origin, 0.0])
     w, z = np.cos(stage.yaw / 2), np.sin(stage.yaw / 2)
@@ -103,7 +100,7 @@ def test_gates_are_seen_where_a_pinhole_camera_sees_them(
     assert whole >= 2
 
 
-def test_the_opening_is_open(cameras: Cameras) -> None:
+def test_the_opening_is_open(cameras):
     cameras.set_stage(0, STAGE, [GREY] * 3)
     column, row = project(geometry.gate_centers(STAGE)[1:2], START, LEVEL)[0].round().astype(int)
     red, green, blue = see(cameras, START)[row, column]
@@ -116,7 +113,7 @@ TOLERANCE = 6
 """Of 255, for llvmpipe elsewhere: on aarch64 LLVM compiles other instructions, which round otherwise (mean 0.09)."""
 
 
-def test_a_frame_is_what_it_was(cameras: Cameras) -> None:
+def test_a_frame_is_what_it_was(cameras):
     if "llvmpipe" not in renderer_name():
         pytest.skip("cards draw their own edges")
     cameras.set_stage(0, STAGE, FLAGS)
@@ -128,7 +125,7 @@ def test_a_frame_is_what_it_was(cameras: Cameras) -> None:
 
 @pytest.mark.parametrize("gate", [0, 1, 2])
 @pytest.mark.parametrize("side", [-1, 1], ids=["front", "back"])
-def test_labels_are_upright_and_not_mirrored(cameras: Cameras, gate: int, side: int) -> None:
+def test_labels_are_upright_and_not_mirrored(cameras, gate, side):
     cameras.set_stage(0, STAGE, FLAGS)
     center = np.array([*geometry.gate_centers(STAGE)[gate, :2], geometry.PANEL_CENTER_HEIGHT])
     yaw = geometry.gate_yaws(STAGE)[gate]
@@ -147,7 +144,7 @@ def test_labels_are_upright_and_not_mirrored(cameras: Cameras, gate: int, side: 
 @pytest.mark.parametrize("dx", [-1.0, 1.0])
 @pytest.mark.parametrize("dy", [-1.0, 1.0])
 @pytest.mark.parametrize("height", [0.2, 1.75])
-def test_the_board_is_read_from_every_start(cameras: Cameras, dx: float, dy: float, height: float) -> None:
+def test_the_board_is_read_from_every_start(cameras, dx, dy, height):
     board = flag(512, 256)
     cameras.set_stage(0, STAGE, [GREY] * 3, board)
     position = np.array([START[0] + dx, dy, height])
@@ -163,7 +160,7 @@ def test_the_board_is_read_from_every_start(cameras: Cameras, dx: float, dy: flo
     assert not np.array_equal(see(cameras, position), image)
 
 
-def test_plain_look_is_the_published_one(cameras: Cameras) -> None:
+def test_plain_look_is_the_published_one(cameras):
     cameras.set_stage(0, STAGE, [GREY] * 3)
     image = see(cameras, START)
     assert (image[200:] == 255).all()
@@ -176,7 +173,7 @@ def test_plain_look_is_the_published_one(cameras: Cameras) -> None:
     assert set(away.argmin(axis=1).tolist()) == {0, 1, 2}
 
 
-def test_a_picture_depends_on_nothing_but_its_own_slot_and_pose() -> None:
+def test_a_picture_depends_on_nothing_but_its_own_slot_and_pose():
     """Bit for bit the same: any slot, any number of threads and images, whatever was there before."""
     rng = np.random.default_rng(5)
     appearance = varied_appearance(rng)
@@ -204,7 +201,7 @@ def test_a_picture_depends_on_nothing_but_its_own_slot_and_pose() -> None:
         np.testing.assert_array_equal(many.first_person(positions, quaternions, slots=[2] * 5), expected)
 
 
-def test_stages_leave_nothing_behind(cameras: Cameras) -> None:
+def test_stages_leave_nothing_behind(cameras):
     cameras.set_stage(0, STAGE, FLAGS)
     before = see(cameras, START)
     cameras.set_stage(1, OTHER, [GREY] * 3, flag(512, 128), varied_appearance(np.random.default_rng(1)))
@@ -216,7 +213,7 @@ def test_stages_leave_nothing_behind(cameras: Cameras) -> None:
     np.testing.assert_array_equal(see(cameras, START), before)
 
 
-def test_pixel_noise_differs_from_frame_to_frame(cameras: Cameras) -> None:
+def test_pixel_noise_differs_from_frame_to_frame(cameras):
     appearance = varied_appearance(np.random.default_rng(3))
     assert appearance.noise > 1
     cameras.set_stage(0, STAGE, FLAGS, appearance=appearance)
@@ -229,11 +226,11 @@ def state(position: FloatArray) -> DroneState:
     return DroneState(np.asarray(position), np.zeros(3), tilted(0.1, 0.2, 0.0), np.zeros(3))
 
 
-def test_the_top_view_shows_the_drone_and_the_first_person_view_does_not(cameras: Cameras) -> None:
+def test_the_top_view_shows_the_drone_and_the_first_person_view_does_not(cameras):
     cameras.set_stage(0, STAGE, [GREY] * 3)
     before = see(cameras, START)
 
-    def orange(image: Image) -> int:
+    def orange(image):
         red, green, blue = np.moveaxis(image.astype(int), -1, 0)
         return int(((red > 180) & (green > 80) & (green < 220) & (blue < 60) & (red - green > 50)).sum())
 
@@ -245,7 +242,7 @@ def test_the_top_view_shows_the_drone_and_the_first_person_view_does_not(cameras
 
 
 @pytest.mark.parametrize("size", [16, 64])
-def test_other_image_sizes(size: int) -> None:
+def test_other_image_sizes(size):
     with Cameras(1, size) as small:
         small.set_stage(0, STAGE, FLAGS)
         image = see(small, START)
@@ -253,7 +250,7 @@ def test_other_image_sizes(size: int) -> None:
         assert (image[-1] == 255).all()
 
 
-def test_what_is_refused(cameras: Cameras) -> None:
+def test_what_is_refused(cameras):
     with pytest.raises(RenderError, match="no stage yet; call set_stage"):
         see(cameras, START, slot=2)
     with pytest.raises(RenderError, match="no stage yet"):
@@ -276,7 +273,7 @@ def test_what_is_refused(cameras: Cameras) -> None:
         Cameras(1000)
 
 
-def test_closed_cameras_say_so() -> None:
+def test_closed_cameras_say_so():
     made = Cameras(1, 16)
     made.close()
     made.close()
@@ -284,7 +281,7 @@ def test_closed_cameras_say_so() -> None:
         made.set_stage(0, STAGE, FLAGS)
 
 
-def test_obstacles_are_drawn_where_they_are_and_a_landmark_shows_its_picture(cameras: Cameras) -> None:
+def test_obstacles_are_drawn_where_they_are_and_a_landmark_shows_its_picture(cameras):
     pillar, beam = Obstacle("pillar", 2.0, 0.4, 0.3, 2.0), Obstacle("beam", 2.0, -0.6, 0.8, 0.2, 0.1, 0.0, 0.9)
     mark = Landmark("number/1@inter", 4.5, 2.0, 1.5, 0.0)
     stage = replace(TURNED, obstacles=(pillar, beam), landmark=mark)
@@ -305,7 +302,7 @@ def test_obstacles_are_drawn_where_they_are_and_a_landmark_shows_its_picture(cam
         np.testing.assert_allclose(after[row, column], color, atol=8)
 
 
-def test_what_moves_is_drawn_where_it_is_at_the_time_of_each_frame(cameras: Cameras) -> None:
+def test_what_moves_is_drawn_where_it_is_at_the_time_of_each_frame(cameras):
     person = Obstacle("person", 2.0, 0.0, 0.5, 1.8, sway=0.8, period=8.0)
     stage = replace(TURNED, obstacles=(person,))
     place = rotate_yaw(START, stage.yaw) + np.array([*stage.origin, 0.0])
@@ -318,8 +315,8 @@ def test_what_moves_is_drawn_where_it_is_at_the_time_of_each_frame(cameras: Came
         assert (cameras.first_person(pose[0][:1], pose[1][:1])[0] == image).all()
 
 
-def test_gates_that_move_are_drawn_with_their_panels_where_they_are_at_the_time_of_each_frame(cameras: Cameras) -> None:
-    def laid_out(sway: float, aside: float) -> Stage:
+def test_gates_that_move_are_drawn_with_their_panels_where_they_are_at_the_time_of_each_frame(cameras):
+    def laid_out(sway, aside):
         places = zip(geometry.GATE_XY, geometry.GATE_YAWS, strict=True)
         a, b, c = (
             GatePlace(float(x - aside * np.sin(yaw)), float(y + aside * np.cos(yaw)), 0.9, float(yaw), sway)
@@ -337,7 +334,7 @@ def test_gates_that_move_are_drawn_with_their_panels_where_they_are_at_the_time_
         assert (cameras.first_person(pose[0][:1], pose[1][:1])[0] != image).any(axis=-1).mean() < 1e-3
 
 
-def test_the_camera_that_looks_down_sees_the_pad_under_the_drone_with_its_top_to_the_front(cameras: Cameras) -> None:
+def test_the_camera_that_looks_down_sees_the_pad_under_the_drone_with_its_top_to_the_front(cameras):
     stage = replace(TURNED, landing=True)
     centers = geometry.gate_centers(stage)
     attitude = quaternion_from_yaw(stage.yaw)

@@ -1,7 +1,5 @@
 """The chase view: it shows the drone in its stage, follows it smoothly, and never touches what the policy sees."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 

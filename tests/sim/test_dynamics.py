@@ -1,7 +1,5 @@
 """What a user would notice of the drone's flight, beyond its step responses."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -33,7 +31,7 @@ def hold(flight: BatchedFlight, action: tuple[float, float, float, float], secon
 
 
 @pytest.mark.parametrize("name", AIRFRAMES)
-def test_hovers_for_a_minute_within_a_centimetre(name: str) -> None:
+def test_hovers_for_a_minute_within_a_centimetre(name):
     flight = BatchedFlight(1, AIRFRAMES[name])
     flight.reset(0, np.array([1.0, 2.0, 0.75]), yaw=2.0)
     path = hold(flight, (0, 0, 0, 0), 60)
@@ -41,7 +39,7 @@ def test_hovers_for_a_minute_within_a_centimetre(name: str) -> None:
     assert flight.yaw[0] == pytest.approx(2.0, abs=0.01)
 
 
-def test_velocity_is_meant_in_the_heading_frame() -> None:
+def test_velocity_is_meant_in_the_heading_frame():
     flight = BatchedFlight(4)
     for world, yaw in enumerate((0.0, 1.0, 2.5, -2.0)):
         flight.reset(world, np.array([0.0, 0.0, 2.0]), yaw=yaw)
@@ -50,7 +48,7 @@ def test_velocity_is_meant_in_the_heading_frame() -> None:
     np.testing.assert_allclose(flight.yaw, [0.0, 1.0, 2.5, -2.0], atol=0.01)
 
 
-def test_steady_wind_costs_little() -> None:
+def test_steady_wind_costs_little():
     calm, windy = BatchedFlight(1), BatchedFlight(1)
     windy.reset(0, np.array([0.0, 0.0, 1.0]), wind=np.array([0.0, 0.5, 0.0]))
     a, b = hold(calm, (1, 0, 0, 0.3), 5), hold(windy, (1, 0, 0, 0.3), 5)
@@ -58,7 +56,7 @@ def test_steady_wind_costs_little() -> None:
     assert np.abs(a - b).max() > 1e-4, "the wind is felt"
 
 
-def test_starts_in_trim_with_speed_and_wind() -> None:
+def test_starts_in_trim_with_speed_and_wind():
     flight = BatchedFlight(1, IRIS)
     flight.reset(0, np.array([0.0, 0.0, 5.0]), 0.7, np.array([2.0, -1.0, 0.3]), wind=np.array([-3.0, 4.0, 0.5]))
     path = flight.advance(400)
@@ -66,7 +64,7 @@ def test_starts_in_trim_with_speed_and_wind() -> None:
     assert flight.yaw[0] == pytest.approx(0.7, abs=0.02)
 
 
-def test_tilt_stays_within_its_limit_in_full_reversals() -> None:
+def test_tilt_stays_within_its_limit_in_full_reversals():
     flight = BatchedFlight(2)
     flight.reset(1, np.array([0.0, 0.0, 1.0]), wind=np.array([12.0, 0.0, 0.0]))
     worst = 0.0
@@ -79,7 +77,7 @@ def test_tilt_stays_within_its_limit_in_full_reversals() -> None:
     assert np.abs(flight.position[:, 2] - 1.0).max() < 0.3
 
 
-def test_lands_rests_and_takes_off_again() -> None:
+def test_lands_rests_and_takes_off_again():
     flight = BatchedFlight(1)
     flight.reset(0, np.array([0.0, 0.0, 0.5]))
     hold(flight, (0, 0, -0.5, 0), 3)
@@ -93,7 +91,7 @@ def test_lands_rests_and_takes_off_again() -> None:
     assert not flight.diverged.any()
 
 
-def test_silence_stops_the_drone_after_three_seconds() -> None:
+def test_silence_stops_the_drone_after_three_seconds():
     flight = BatchedFlight(1)
     hold(flight, (1.0, 0, 0, 0), 4)
     start = flight.position[0, 0]
@@ -104,7 +102,7 @@ def test_silence_stops_the_drone_after_three_seconds() -> None:
     assert np.abs(flight.velocity).max() < 0.02
 
 
-def test_speed_and_yaw_rate_are_limited() -> None:
+def test_speed_and_yaw_rate_are_limited():
     flight = BatchedFlight(1)
     flight.reset(0, np.array([0.0, 0.0, 50.0]))
     hold(flight, (1e6, 0, -1e6, 0), 8)
@@ -118,7 +116,7 @@ def test_speed_and_yaw_rate_are_limited() -> None:
 @pytest.mark.parametrize(
     "bad", [np.full((2, 4), np.nan), np.zeros((2, 3)), np.zeros(4), np.array([[0, 0, 0, np.inf]] * 2)]
 )
-def test_refuses_actions_that_cannot_be_flown(bad: np.ndarray) -> None:
+def test_refuses_actions_that_cannot_be_flown(bad):
     flight = BatchedFlight(2)
     with pytest.raises(PolicyError, match=r"shape|finite"):
         flight.command(bad)
@@ -126,7 +124,7 @@ def test_refuses_actions_that_cannot_be_flown(bad: np.ndarray) -> None:
     assert np.abs(flight.velocity).max() < 1e-6, "nothing of it was latched"
 
 
-def test_a_diverged_world_is_frozen_and_reported_while_others_fly_on() -> None:
+def test_a_diverged_world_is_frozen_and_reported_while_others_fly_on():
     flight, alone = BatchedFlight(3), BatchedFlight(1)
     for world in range(3):
         flight.reset(world, np.array([0.0, 0.0, 2.0]))
@@ -142,7 +140,7 @@ def test_a_diverged_world_is_frozen_and_reported_while_others_fly_on() -> None:
     assert not flight.diverged.any()
 
 
-def test_reset_is_exact() -> None:
+def test_reset_is_exact():
     flight = BatchedFlight(1)
     flight.reset(0, np.array([0.3, -0.2, 0.9]), yaw=0.4)
     state = flight.state(0)
@@ -155,12 +153,10 @@ def test_reset_is_exact() -> None:
 @pytest.mark.parametrize(
     ("worlds", "threads", "found"), [(1, 16, 1), (16, 16, 1), (63, 16, 1), (64, 16, 2), (64, 1, 1), (512, 4, 4)]
 )
-def test_threads_of_the_physics_follow_the_work(
-    worlds: int, threads: int, found: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_threads_of_the_physics_follow_the_work(worlds, threads, found, monkeypatch):
     taken: list[int] = []
 
-    def flight(worlds: int, *_: object, threads: int) -> BatchedFlight:
+    def flight(worlds, *_, threads):
         taken.append(threads)
         return BatchedFlight(1)
 
@@ -171,7 +167,7 @@ def test_threads_of_the_physics_follow_the_work(
 
 
 @pytest.mark.parametrize(("worlds", "threads"), [(5, 1), (5, 2), (16, 4), (64, 2)])
-def test_a_flight_does_not_depend_on_the_others_nor_on_threads(worlds: int, threads: int) -> None:
+def test_a_flight_does_not_depend_on_the_others_nor_on_threads(worlds, threads):
     rng = np.random.default_rng(worlds)
     actions = rng.uniform([-2, -2, -1, -1], [2, 2, 0.8, 1], (40, worlds, 4))
     starts, winds = rng.uniform([-1, -1, 0.2], [1, 1, 2], (worlds, 3)), rng.uniform(-2, 2, (worlds, 3))
@@ -198,7 +194,7 @@ def test_a_flight_does_not_depend_on_the_others_nor_on_threads(worlds: int, thre
 
 @settings(max_examples=20)
 @given(st.lists(st.integers(1, 30), min_size=1, max_size=6))
-def test_how_time_is_cut_does_not_change_a_flight(cuts: list[int]) -> None:
+def test_how_time_is_cut_does_not_change_a_flight(cuts):
     whole, pieces = BatchedFlight(1), BatchedFlight(1)
     for flight in (whole, pieces):
         flight.command_one(0, np.array([1.0, -0.5, 0.3, 0.4]))
@@ -208,13 +204,13 @@ def test_how_time_is_cut_does_not_change_a_flight(cuts: list[int]) -> None:
     assert np.array_equal(whole.quaternion, pieces.quaternion)
 
 
-def test_several_worlds_share_the_guidance_clock() -> None:
+def test_several_worlds_share_the_guidance_clock():
     with pytest.raises(ValueError, match="multiple of four"):
         BatchedFlight(2).advance(3)
     assert BatchedFlight(2).advance(40).shape == (2, 10, 3)
     assert BatchedFlight(1).advance(0).shape == (1, 0, 3)
 
 
-def test_airframes_can_hover_and_turn() -> None:
+def test_airframes_can_hover_and_turn():
     assert RACER.thrust_to_weight > IRIS.thrust_to_weight > 2
     assert RACER.hull_radius == pytest.approx(0.13)

@@ -1,7 +1,5 @@
 """What only a card that draws can show: make test-card."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,6 @@
 """What draws, how many contexts it gets, and how frames are read from it. The names of cards are pretended ones."""
 
 import threading
-from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +9,7 @@ from cognitivedrone.benchmark.reports import catalogue
 from cognitivedrone.errors import FirstFrameError, RenderError
 from cognitivedrone.sim.drawing import camera, gl, readback, renderers
 from cognitivedrone.sim.drawing.camera import Cameras
-from cognitivedrone.types import DroneState, Gate, Image, Images, Stage
+from cognitivedrone.types import DroneState, Gate, Images, Stage
 from cognitivedrone.world.engine import mujoco
 from cognitivedrone.world.geometry import START
 
@@ -26,7 +24,7 @@ PICTURES = [np.full((64, 64, 3), shade, np.uint8) for shade in (40, 128, 220)]
 
 
 @pytest.fixture
-def fresh(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
+def fresh(monkeypatch):
     """A process that knows of no backend yet, and a person who has chosen nothing."""
     monkeypatch.setattr(gl, "_chosen", None)
     for name in (gl._REMEMBERED, "MUJOCO_GL", renderers.CHOICE, renderers.DEVICE):
@@ -53,7 +51,7 @@ def devices(fresh: pytest.MonkeyPatch, *names: str) -> list[int | None]:
     ("name", "found"),
     [(LLVMPIPE, True), ("softpipe", True), ("Software Rasterizer", True), (CARD, False), (OTHER_CARD, False)],
 )
-def test_who_draws_on_the_processor(name: str, found: bool) -> None:
+def test_who_draws_on_the_processor(name, found):
     assert renderers.on_processor(name) is found
 
 
@@ -61,7 +59,7 @@ def test_who_draws_on_the_processor(name: str, found: bool) -> None:
     ("name", "slots", "threads", "found"),
     [(LLVMPIPE, 16, 8, 8), (CARD, 16, 16, 1), (OTHER_CARD, 200, 2, 1), (CARD, 201, 8, 2), (CARD, 1, 1, 1)],
 )
-def test_a_card_gets_as_few_contexts_as_hold_the_slots(name: str, slots: int, threads: int, found: int) -> None:
+def test_a_card_gets_as_few_contexts_as_hold_the_slots(name, slots, threads, found):
     assert renderers.contexts_for(name, slots, threads, 200) == found
 
 
@@ -72,7 +70,7 @@ def drawn(cameras: Cameras) -> Images:
     return cameras.first_person(places, np.tile([1.0, 0.0, 0.0, 0.0], (cameras.slots, 1)))
 
 
-def test_cameras_on_a_card_share_a_context_and_draw_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cameras_on_a_card_share_a_context_and_draw_the_same(monkeypatch):
     with Cameras(5, 48, threads=2) as cameras:
         frames = drawn(cameras)
         assert len(cameras._threads) == 2
@@ -86,7 +84,7 @@ def test_cameras_on_a_card_share_a_context_and_draw_the_same(monkeypatch: pytest
 
 @pytest.mark.parametrize("size", [48, 37])  # rows of 111 bytes fit no alignment
 @pytest.mark.parametrize("way", ["Mesa turns the rows", "we do", "two buffers"])
-def test_every_way_to_read_gives_the_same_bits(way: str, size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_way_to_read_gives_the_same_bits(way, size, monkeypatch):
     """As OpenGL gives them, with the lowest row first, turned round."""
     with Cameras(3, size) as cameras:
         thread, renderer = cameras._threads[0], cameras._renderers[0]
@@ -101,7 +99,7 @@ def test_every_way_to_read_gives_the_same_bits(way: str, size: int, monkeypatch:
         cameras.top(0, DroneState(START.copy(), np.zeros(3), level, np.zeros(3)))  # reads in a way of its own
         frames = drawn(cameras)
 
-        def reference() -> Image:
+        def reference():
             rows = np.empty((size, size, 3), np.uint8)
             mujoco.mjr_render(renderer._viewport, renderer._scenes[2], renderer._context)
             mujoco.mjr_readPixels(rows, None, renderer._viewport, renderer._context)
@@ -110,7 +108,7 @@ def test_every_way_to_read_gives_the_same_bits(way: str, size: int, monkeypatch:
         np.testing.assert_array_equal(frames[2], thread.call(reference).result())
 
 
-def test_a_failed_frame_leaves_nothing_to_the_next_call(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_frame_leaves_nothing_to_the_next_call(monkeypatch):
     monkeypatch.setattr(camera, "renderer_name", lambda: CARD)
     with Cameras(2, 32) as cameras:
         cameras.set_stage(0, STAGE, PICTURES)
@@ -121,7 +119,7 @@ def test_a_failed_frame_leaves_nothing_to_the_next_call(monkeypatch: pytest.Monk
         np.testing.assert_array_equal(cameras.first_person(places[:1], level[:1]), alone)
 
 
-def test_a_choice_between_processor_and_card(fresh: pytest.MonkeyPatch) -> None:
+def test_a_choice_between_processor_and_card(fresh):
     tried = devices(fresh, CARD, OTHER_CARD, LLVMPIPE)
     assert gl.backend() == gl.Backend("egl", CARD)
     assert tried == [None]
@@ -134,7 +132,7 @@ def test_a_choice_between_processor_and_card(fresh: pytest.MonkeyPatch) -> None:
     assert tried == [None, None, 0, 1, 2]
 
 
-def test_a_card_behind_the_processor_is_found(fresh: pytest.MonkeyPatch) -> None:
+def test_a_card_behind_the_processor_is_found(fresh):
     devices(fresh, LLVMPIPE, CARD)
     fresh.setenv(renderers.CHOICE, "gpu")
     assert gl.backend() == gl.Backend("egl", CARD, 1)
@@ -149,9 +147,7 @@ def test_a_card_behind_the_processor_is_found(fresh: pytest.MonkeyPatch) -> None
         ([CARD], "vulkan", "", "COGNITIVEDRONE_RENDERER=vulkan is no renderer; unset it, or set it to cpu or gpu"),
     ],
 )
-def test_a_choice_that_is_not_there_is_one_sentence(
-    fresh: pytest.MonkeyPatch, names: list[str], choice: str, device: str, says: str
-) -> None:
+def test_a_choice_that_is_not_there_is_one_sentence(fresh, names, choice, device, says):
     devices(fresh, *names)
     fresh.setenv(renderers.CHOICE, choice)
     fresh.setenv(renderers.DEVICE, device)
@@ -160,7 +156,7 @@ def test_a_choice_that_is_not_there_is_one_sentence(
     assert "\n" not in str(caught.value)
 
 
-def test_a_card_that_another_program_holds_is_left_alone(fresh: pytest.MonkeyPatch) -> None:
+def test_a_card_that_another_program_holds_is_left_alone(fresh):
     for hidden in ("", "-1"):
         fresh.setenv("CUDA_VISIBLE_DEVICES", hidden)
         fresh.setattr(gl, "_chosen", None)
@@ -175,7 +171,7 @@ def test_a_card_that_another_program_holds_is_left_alone(fresh: pytest.MonkeyPat
     assert renderers.why(CARD) == "CUDA_VISIBLE_DEVICES hides all cards, but nothing else draws here"
 
 
-def test_why_names_what_decided(fresh: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_why_names_what_decided(fresh, tmp_path):
     assert renderers.why(LLVMPIPE, tmp_path / "no driver") == "OpenGL finds no graphics card"
     assert renderers.why(LLVMPIPE, tmp_path) == (  # CUDA is there, OpenGL is not
         "OpenGL does not find the graphics card of this machine: install the card's OpenGL, in a container by"
@@ -187,14 +183,14 @@ def test_why_names_what_decided(fresh: pytest.MonkeyPatch, tmp_path: Path) -> No
     assert renderers.why("softpipe") == "MUJOCO_GL=osmesa"
 
 
-def test_the_list_of_names_says_what_draws_and_why(fresh: pytest.MonkeyPatch) -> None:
+def test_the_list_of_names_says_what_draws_and_why(fresh):
     fresh.setattr(catalogue, "renderer_name", lambda: CARD)
     assert catalogue._renderer() == (
         f"Renderer (COGNITIVEDRONE_RENDERER=cpu|gpu): {CARD} "
         "(OpenGL's first card; COGNITIVEDRONE_RENDERER=cpu draws on the processor)"
     )
 
-    def none() -> str:
+    def none():
         raise RenderError("OpenGL does not start")
 
     fresh.setattr(catalogue, "renderer_name", none)
@@ -202,21 +198,19 @@ def test_the_list_of_names_says_what_draws_and_why(fresh: pytest.MonkeyPatch) ->
 
 
 @pytest.fixture
-def stuck() -> Iterator[threading.Event]:
+def stuck():
     """What a hanging read-back waits for, until the test ends."""
     event = threading.Event()
     yield event
     event.set()
 
 
-def test_a_first_frame_that_does_not_come_ends_the_wait(
-    stuck: threading.Event, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_first_frame_that_does_not_come_ends_the_wait(stuck, monkeypatch):
     monkeypatch.setattr(gl, "FIRST_FRAME_S", 0.0)
     monkeypatch.setattr(gl, "_lost", [])
     thread = gl.GLThread(16, 16)
 
-    def hang() -> None:
+    def hang():
         stuck.wait(60)
 
     with pytest.raises(FirstFrameError, match=r"drew no frame within 0 s; let fewer processes draw.*RENDERER=cpu"):

@@ -1,7 +1,5 @@
 """Binaries for tests that fly an ArduCopter: one that is played, and the real one where it is at hand."""
 
-from __future__ import annotations
-
 import os
 import random
 import socket

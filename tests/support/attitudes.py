@@ -1,7 +1,5 @@
 """Attitudes that tests ask for by angle."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Policies with one thing wrong each, around a pilot that flies."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import replace
 

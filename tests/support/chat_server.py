@@ -1,7 +1,5 @@
 """A real HTTP server on loopback that answers as an OpenAI-compatible chat API does, and as it should not."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import threading

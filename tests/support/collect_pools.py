@@ -1,9 +1,9 @@
 """Collections without worker processes: a generator flies in this one."""
 
-from __future__ import annotations
-
+import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -31,3 +31,9 @@ def flying(fly: Fly) -> Any:
             fleet.close()
 
     return pool_of
+
+
+def digests(folder: Path) -> dict[str, str]:
+    """The hash of every file of a folder, by name."""
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}

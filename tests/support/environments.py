@@ -1,7 +1,5 @@
 """Python environments of their own, for other projects' clients whose dependencies conflict with ours."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import shutil
@@ -36,13 +34,10 @@ def python_with(config: pytest.Config, *packages: str) -> Path:
     try:
         subprocess.run([sys.executable, "-m", "venv", "--copies", str(part)], check=True, capture_output=True)
         subprocess.run(
-            [str(part / "bin" / "python"), "-m", "pip", "install", "--quiet", *packages],
-            check=True,
-            capture_output=True,
-            text=True,
-            timeout=INSTALL_S,
+            [str(part / "bin" / "python"), "-m", "pip", "install", "--quiet", *packages], check=True,
+            capture_output=True, text=True, timeout=INSTALL_S,
             env={name: value for name, value in os.environ.items() if name != "PYTHONPATH"},
-        )
+        )  # fmt: skip
         if not python.is_file():
             part.rename(made)
     except (subprocess.SubprocessError, OSError) as error:

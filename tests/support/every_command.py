@@ -2,19 +2,18 @@
 of earlier ones. Processes start as the installed command does: with the folder of a script on the path.
 """
 
-from __future__ import annotations
-
 import os
 import shlex
 import signal
 import socket
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+
+from waiting import free_port, soon
 
 ROOT = Path(__file__).resolve().parents[2]
 SMALL = "--suite open-v1:smoke --policy hover --workers 1 --episodes 2"
@@ -87,8 +86,7 @@ def run_all(
 
 
 def _run(start: list[str], line: str, folder: Path, environment: Mapping[str, str], redirect: str) -> Ended:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
+    port = free_port()
     words = [*start, *shlex.split(line.replace("PORT", str(port)))]
     output = folder.parent / f"{folder.name}-said"
     with output.open("wb") as file:
@@ -98,7 +96,7 @@ def _run(start: list[str], line: str, folder: Path, environment: Mapping[str, st
             start_new_session=True,
         )  # fmt: skip
         if "PORT" in line:
-            _until(lambda: process.poll() is not None or _answers(port))
+            soon(lambda: process.poll() is not None or _answers(port), LIMIT_S)
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGINT)
         code = process.wait(LIMIT_S)
@@ -111,12 +109,6 @@ def _answers(port: int) -> bool:
     except OSError:
         return False
     return True
-
-
-def _until(done: Callable[[], bool]) -> None:
-    limit = time.monotonic() + LIMIT_S
-    while not done() and time.monotonic() < limit:
-        time.sleep(0.1)
 
 
 def environment_of(home: Path, **more: str) -> dict[str, str]:

@@ -1,7 +1,5 @@
 """Plays an ArduCopter binary: our own vehicle and autopilot, on physics that it asks for step by step over UDP."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

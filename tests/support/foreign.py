@@ -4,8 +4,6 @@ What a system lacks is read from the types of the standard library that mypy bri
 `environment` makes an interpreter and all that it starts such a system, by `foreign_views.py`.
 """
 
-from __future__ import annotations
-
 import ast
 import functools
 import json

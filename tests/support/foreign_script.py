@@ -3,8 +3,6 @@
 A line is a command, or the name of a function below. Standard output gets a line of JSON for each: how it ended.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -4,8 +4,6 @@ Only modules of the package import these views, through a `__import__` of their 
 packages go on as on Linux. Not like a foreign system: the renderer, paths, the speed, and what other packages do there.
 """
 
-from __future__ import annotations
-
 import builtins
 import errno
 import fcntl

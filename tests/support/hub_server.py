@@ -1,7 +1,5 @@
 """A Hugging Face Hub for tests: the part of its HTTP interface that small repositories need, in memory."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

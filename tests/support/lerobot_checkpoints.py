@@ -1,7 +1,5 @@
 """Checkpoints that LeRobot itself writes, small enough for tests."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import torch
@@ -22,19 +20,10 @@ def save_act(folder: Path, *, down: bool = False) -> Path:
     """An ACT policy with random weights that plays chunks of four, and may see downwards, too; returns its folder."""
     inputs = INPUTS | ({DOWN: INPUTS["observation.images.front"]} if down else {})
     config = ACTConfig(
-        input_features=inputs,
-        output_features=OUTPUTS,
-        device="cpu",
-        chunk_size=4,
-        n_action_steps=4,
-        dim_model=32,
-        n_heads=2,
-        dim_feedforward=32,
-        n_encoder_layers=1,
-        n_vae_encoder_layers=1,
-        latent_dim=4,
+        input_features=inputs, output_features=OUTPUTS, device="cpu", chunk_size=4, n_action_steps=4,
+        dim_model=32, n_heads=2, dim_feedforward=32, n_encoder_layers=1, n_vae_encoder_layers=1, latent_dim=4,
         pretrained_backbone_weights=None,
-    )
+    )  # fmt: skip
     policy = ACTPolicy(config)
     sizes = {"observation.state": (5,), "action": (4,)}
     stats = {

@@ -1,7 +1,5 @@
 """What takes long to make, made by one of the processes of pytest-xdist for all of them."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A person at the live page, and the page itself, for tests."""
 
-from __future__ import annotations
-
 import io
 import json
 import threading

@@ -1,7 +1,5 @@
 """Clients and servers as other projects write them: openpi's protocol by its description, without our code."""
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import threading

@@ -5,8 +5,6 @@ panels whose pictures are spelt otherwise, and recorded flights below folders wi
 and shown in it is ours.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import shutil
@@ -128,23 +126,19 @@ def make_checkout(root: Path) -> Path:
     return root
 
 
-def add_flights(root: Path, exported: Path, *, colons: bool = True) -> list[Path]:
+def add_flights(root: Path, exported: Path) -> None:
     """Move flights of our published export below the checkout's Validation folder, without what only ours have."""
-    made = []
     for number, setup_path in enumerate(sorted(exported.glob("*/*/setup.json"))):
         setup = json.loads(setup_path.read_text())
         name = setup["id"].partition("/")[0]
         group = GROUPS[VALIDATION[name][0].partition("/")[0]]
-        stamp = f"2025-02-28 12:12:{number:02}.747449"
-        folder = root / "Validation" / group / name / (stamp if colons else stamp.replace(":", "_"))
+        folder = root / "Validation" / group / name / f"2025-02-28 12:12:{number:02}.747449"
         folder.parent.mkdir(parents=True, exist_ok=True)
         shutil.copytree(setup_path.parent, folder)
         gates = setup["gates"]
         keys = ("prompt", "prompt_simpler", "options", "correct", "background")
         listed = [{"gate": gate, **gates[gate]} for gate in "123"]
         write(folder / "setup.json", {key: setup[key] for key in keys} | {"gates": listed})
-        made.append(folder)
-    return made
 
 
 def make_checkout_with_flights(folder: Path) -> None:

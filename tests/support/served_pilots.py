@@ -1,14 +1,25 @@
 """Pilots that tests serve by name, in the process of the test: they can be watched and held up."""
 
-from __future__ import annotations
-
+import contextlib
 import threading
+from collections.abc import Iterator
 
 import numpy as np
 
 from cognitivedrone.errors import PolicyError, ReasonerError
 from cognitivedrone.interfaces import Policy, Reasoner, attempt
+from cognitivedrone.serving.config import ServePlan
+from cognitivedrone.serving.server import Address, serving
 from cognitivedrone.types import Guidance
+
+TOKEN = "a-token-of-the-tests-0123"  # noqa: S105
+
+
+@contextlib.contextmanager
+def served(**options: object) -> Iterator[Address]:
+    """Where a server of one of these pilots listens."""
+    with serving(ServePlan.of(**({"policy": "served_pilots:Counting", "port": 0} | options))) as where:
+        yield where
 
 
 class Counting(Policy):
@@ -57,6 +68,11 @@ class Held(Counting):
 
     go, busy = threading.Event(), threading.Event()
     sizes: list[int] = []  # noqa: RUF012
+
+    @classmethod
+    def hold(cls):
+        cls.go.clear()
+        cls.busy.clear()
 
     def fork(self):
         return Held()

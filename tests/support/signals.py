@@ -1,7 +1,5 @@
 """Signals to another process, in step with it: by what the kernel tells of it, not by time."""
 
-from __future__ import annotations
-
 import os
 import signal
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Policies whose loop never ends, each out of reach in another way; they say so in a file first."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import signal

@@ -1,7 +1,5 @@
 """Checks shapes and dtypes of arrays in every call of the package, while tests run."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, get_args

@@ -1,7 +1,5 @@
 """Commands as they are typed in a folder, run in this process: a Python that starts and loads all takes seconds."""
 
-from __future__ import annotations
-
 import io
 import os
 import shlex

@@ -1,7 +1,5 @@
 """Obstacles of tasks: the suite keeps its promises, files are read as written, and faults are said in one sentence."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What the generators promise: one right answer, no leaks, nothing held out in training."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections import Counter, defaultdict

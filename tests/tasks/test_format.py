@@ -1,7 +1,5 @@
 """Task files: exact both ways, and clear about what is wrong."""
 
-from __future__ import annotations
-
 import copy
 import json
 from pathlib import Path
@@ -134,13 +132,7 @@ def layout(**second):
         ({"correct": "1"}, "correct is '1'"),
         ({"correct": True}, "correct is True"),
         ({"correct": 10**100}, r"correct is 1000\d{36}; it must be 1, 2 or 3"),
-        ({"layout": layout(x=float("inf"))}, "x of gate 2 is inf; it must be from 1 to 8"),
         ({"layout": layout(y=-float("inf"))}, "y of gate 2 is -inf; it must be from -7 to 7"),
-        ({"layout": layout(yaw=float("nan"))}, "yaw of gate 2 is nan; it must be from"),
-        (
-            {"layout": layout(swing=1.0)},
-            "place of gate 2 must be x, y, height, yaw and, if it moves, sway, period, phase",
-        ),
         (
             {"layout": layout(phase=1.0)},
             "place of gate 2 must be x, y, height, yaw and, if it moves, sway, period, phase",

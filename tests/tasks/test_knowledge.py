@@ -1,7 +1,5 @@
 """The table of facts: complete, closed, and every claim can be asked for."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections import Counter
@@ -215,18 +213,6 @@ def test_a_misspelt_value_is_rejected(tmp_path: Path) -> None:
     folder = copy(tmp_path, animals=ANIMALS.replace("mammal", "mamal", 1))
     with pytest.raises(TaskError, match=r"value 'mamal' of class has no phrases; did you mean 'mammal'"):
         knowledge.make_claims(knowledge.load_table(folder), knowledge.load_phrases(folder / "phrases.csv"))
-
-
-def test_a_large_or_unreadable_file_is_rejected(tmp_path: Path) -> None:
-    with pytest.raises(TaskError, match=r"cannot read .*a folder"):
-        knowledge.own_claims(tmp_path, ["mine/anna"])
-    big = tmp_path / "big.csv"
-    big.write_bytes(b"concept,who\n" + b"x" * (9 * 2**20))
-    with pytest.raises(TaskError, match="at most 8,388,608 are read"):
-        knowledge.own_claims(big, ["mine/anna"])
-    big.write_bytes("concept,who\nanna,Юрий\n".encode("cp1251"))
-    with pytest.raises(TaskError, match="not UTF-8"):
-        knowledge.own_claims(big, ["mine/anna"])
 
 
 # ---- a user's own facts

@@ -1,7 +1,5 @@
 """Words of the user's: which panels they fit, and which scene they find."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

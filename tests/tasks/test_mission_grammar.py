@@ -1,8 +1,7 @@
 """A mission is understood whole, or not flown: generated sentences with their meaning, typed ones that must refuse."""
 
-from __future__ import annotations
-
 import random
+from pathlib import Path
 
 import pytest
 
@@ -107,178 +106,13 @@ def test_a_thousand_generated_missions_mean_what_they_say():
     assert not fell, f"{len(fell)} of 1000: {fell[:2]}"
 
 
-REFUSED = """
-first the dog then the cat, never through red, green or blue
-first the dog then the cat, never red, and never green, and never blue
-never through blue, first the dog, then through the blue triangle
-never through blue, first the dog, then the blue gate
-avoid red, then fly through the small red round gate
-first the dog, then through the red gate, but not through red
-never through the dog, first the dog, then the cat
-never through red, the dog, the cat
-never through red, the dog, then the cat
-stay away from red, blue gate, then the dog
-never through red
-avoid red and blue
-no red
-don't fly
-do not take off
-please don't move
-never land
-don't fly to the dog
-don't land on the red pad
-do not land
-fly to the dog, don't land on the red pad
-first the dog and then do not land
-first the dog, then never land on red
-land on the red pad and the green pad
-land on red and blue
-land on no pad
-land nowhere
-land on the yellow pad
-land on the roof
-land on the red house
-land on the pad that is neither red, green nor blue
-land on the pad that is not
-land on red if you see a cat
-if there is a cat land on red, otherwise on red
-if there is a cat land on red, otherwise blue, then the dog
-if there is a cat land on red then the dog, otherwise blue
-if there is a cat land on red, otherwise the yellow pad
-if there is a dog, first the cat then the bird
-if there is a dog take it if there is a cat, otherwise the bus
-if there is no dog take it, otherwise if there is a cat take it, otherwise land
-first the dog, then the cat, never through the red blue gate
-land on the red triangle
-if there is a cat at the red gate, take it, otherwise the dog
-if there is a cat, take the red gate, never through blue, otherwise the green gate
-if there is a cat avoid it, otherwise the dog
-if there is a cat do nothing, otherwise the dog
-if there is a cat land, otherwise the dog, otherwise the bus
-the dog, but not if it is at the red gate
-first the dog but only if it is not at a red gate
-fly to the dog as long as it is not red
-fly to the dog provided that it is not at a blue gate
-take the dog unless it is at the red gate
-first the cat, then the dog via green gates only
-first the cat, cancel that
-first the cat then the dog. Forget the cat.
-cat, dog, horse - no wait, skip the dog
-go to the cat twice, no, three times
-cat two times dog one time
-land on the red pad three times
-land on whichever pad is free
-land on the pad with the dog
-depending on whether there is a cat, land on red or blue
-zuerst der Hund, danach nicht die Katze
-n'importe quoi sauf le chat, puis atterris
-if there is a cat land, otherwise land
-wenn es zwei Hunde gibt, nimm die Katze, sonst das Pferd
-wenn nicht, nimm die Katze, sonst das Pferd
-s'il y a un chien et un chat, prends le bus, sinon le cheval
-if there is a bus take it, otherwise don't fly to the dog
-if there is a bus take it, otherwise never through red
-if there is a bus don't take it, otherwise the dog
-if there is no dog take it, otherwise the cat
-if there is a dog take the cat
-fly to the dog if you see a cat
-fly to the dog unless you see a cat
-first the dog, then the cat unless there is a bus
-fly to the dog, if not there the cat
-fly to the dog, otherwise the cat
-fly to the dog 2.5 times
-fly to the dog -2 times
-fly to the dog minus two times
-fly to the dog 0 times
-fly to the dog zero times
-fly to the dog 13 times
-fly to the dog 1e9 times then land
-fly to the cat a few times
-fly to the cat several times
-fly to the dog a hundred times
-fly to the dog once or twice
-first the dog twice, then the cat half times
-first the dog, then the cat, mind the red gate
-first the dog, then the cat, red is forbidden
-go to the dog then the cat, red not allowed
-the dog, then the red gate, but red is off limits
-go to the dog then the cat; red is a no-go
-first dog then cat, blue is lava
-first the dog, second the cat, under no circumstances red
-go to the dog then the cat, anything but the red gate
-go to the dog then the cat, but not through the gate that is blue
-first the dog then the cat, no going through red
-first the dog then the cat, anything but red
-first the dog then the cat, u must not fly through red
-first the dog, then don't fly to the cat
-don't fly to the dog, then the cat
-not the dog, then the cat
-first not the dog, then the cat
-neither the dog nor the cat, then land
-first through the red gate, then through a non-red gate
-first the dog then the cat, no wait, never through red
-first the dog then the cat, never through red, no wait, blue
-first the dog, then land on red, no wait, the cat
-first the dog, then land on the red pad, then the cat
-land on the red pad, then the dog, then land
-land then fly to the dog
-fly to the red pad
-first the dog, then fly to the red pad
-fly to the dog, then descend on the red pad
-donut, then coffee, then nap on the blue pad
-fly to the dog, then perch on red
-first the dog, then through the triangle, never through triangles
-first the dog, then the cat, never through the big and small gates
-avoid, first the dog then the cat
-first the dog, never, then the cat
-then
-first then
-first the dog, then the cat, never
-first the dog, then the cat but keep off the grass and blue hat
-landen auf dem gelben Pad
-nicht auf dem roten Pad landen
-ne pas atterrir sur le rouge
-first the dog, then land on red or maybe blue
-first the dog, then the cat, then land on whatever is not red
-if there is a bus
-if there is a bus then the dog then the cat otherwise
-first the dog, then the cat, except when it is red
-first the dog, then instead of the cat the horse
-first the dog, then the cat rather than the horse
-land on blue rather than red
-first the dog, then land on a pad but never red
-fly two times to the dog and three times to the cat
-fly 3 times
-geh nicht durch das rote Tor
-ne vole pas
-flieg nicht zum Hund
-first the dog, then the opposite of land
-forget everything, land on red
-avoid red: the dog, the cat
-land on the pad, not the blue one
-land on red unless there is a cat
-n'atterris pas sur le rouge
-ne passe pas par le rouge
-the dog three point five times
-fly 2 to 3 times to the dog
-fly to the dog at most twice
-if there is a bus and a cat take the dog, otherwise the horse
-if there are two dogs take the cat, otherwise the horse
-only through green: first the dog, then the cat
-in reverse order: the dog, then the cat
-first the dog, then stop
-first the dog and then the cat, nothing red
-first the dog then the cat but for heaven's sake not red
-""".strip().splitlines()
+REFUSED = (Path(__file__).parent / "sentences" / "refused.txt").read_text("utf-8").splitlines()
+"""Missions as people type them that nobody could be sure to understand."""
 
 
 @pytest.mark.parametrize("sentence", REFUSED)
 def test_what_was_not_understood_whole_is_not_flown(sentence):
     assert read(sentence).problem
-
-
-def test_a_hundred_typed_sentences_are_refused():
-    assert len(set(REFUSED)) >= 100
 
 
 def test_a_refusal_says_what_was_understood_and_what_not():

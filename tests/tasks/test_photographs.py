@@ -1,7 +1,5 @@
 """open-v3:photos and open-v3:wild: pictures, sentences and conditions that training never shows."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Suites of pictures in drawing styles that are held out."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import pytest

@@ -1,7 +1,5 @@
 """The committed suites: hashes, balance, and that they can be built again."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections import Counter
@@ -47,16 +45,7 @@ def spread(values: Iterable[object], known: Iterable[object]) -> int:
     return max(counts[value] for value in known) - min(counts[value] for value in known)
 
 
-def test_suite_sizes() -> None:
-    sizes = {name: load_suite(name).n_tasks for name in BUILT}
-    first = {"test": 300, "unseen": 150, "smoke": 30, "track": 100, "hard": 150, "race": 100}
-    second = {"test": 300, "layouts": 300, "absent": 200}
-    named = {
-        "open-v1": first,
-        "open-v2": second,
-        "open-v3": {"missions": 400, "clutter": 200, "places": 200, "moving": 120, "gates": 90, "swaying": 120},
-    }
-    assert sizes == {f"{version}:{name}": size for version, of in named.items() for name, size in of.items()}
+def test_lengths_of_tracks():
     assert [len(track) for track in load_suite("open-v1:track").tracks] == [5] * 20
     assert [len(track) for track in load_suite("open-v1:race").tracks] == [5] * 20
     assert max(len(track) for track in load_suite("open-v1:hard").tracks) == 5
@@ -69,14 +58,14 @@ CROWDED = ("open-v3:clutter", "open-v3:moving", "open-v3:gates")
 @pytest.mark.parametrize(
     "name", [*(pytest.param(name, marks=[pytest.mark.slow] * (name in CROWDED)) for name in BUILT), *AUTHORED]
 )
-def test_committed_files_are_what_is_built_and_authored_ones_have_their_form(name: str) -> None:
+def test_committed_files_are_what_is_built_and_authored_ones_have_their_form(name):
     committed = resources.files("cognitivedrone.tasks").joinpath("suites", f"{name.replace(':', '/')}.json")
     tracks = build_suite(name) if name in BUILT else load_suite(name).tracks
     assert committed.read_text(encoding="utf-8") == suite_text(name, tracks)
 
 
 @pytest.mark.parametrize("name", CROWDED)
-def test_every_task_of_a_crowded_suite_gets_its_obstacles(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_task_of_a_crowded_suite_gets_its_obstacles(name, monkeypatch):
     monkeypatch.setattr(build, "equal_shares", lambda total: {"animals": 5})
     tasks = [task for (task,) in build_suite(name)]
     assert len(tasks) == 5
@@ -89,21 +78,13 @@ def test_every_task_of_a_crowded_suite_gets_its_obstacles(name: str, monkeypatch
     assert all(task.obstacles[0].sway > 0 for task in tasks) == (name == "open-v3:moving")
 
 
-def test_the_numbers_of_gates_occur_equally_often() -> None:
-    tasks = tasks_of(load_suite("open-v3:gates"))
-    counts = Counter(len(task.obstacles) + (3 if task.missing is None else 2) for task in tasks)
-    assert counts == dict.fromkeys(range(2, 7), 18)
-
-
-def test_all_gates_of_the_suite_move() -> None:
+def test_all_gates_of_the_suite_move():
     layouts = [task.layout for task in tasks_of(load_suite("open-v3:swaying"))]
     assert all(place.sway > 0 for layout in layouts if layout for place in layout)
     assert len(set(layouts)) == len(layouts)
 
 
-def test_the_command_writes_every_built_suite(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_every_built_suite(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(build, "build_suite", lambda name: load_suite(name).tracks)
     build.main(tmp_path)
     assert len(capsys.readouterr().out.splitlines()) == len(BUILT)
@@ -113,7 +94,7 @@ def test_the_command_writes_every_built_suite(
 
 
 @pytest.mark.parametrize("name", FIXED)
-def test_tasks_are_well_formed_with_ids_of_their_own(name: str) -> None:
+def test_tasks_are_well_formed_with_ids_of_their_own(name):
     tasks = tasks_of(load_suite(name))
     for task in tasks:
         validate_task(task, task.id)
@@ -122,7 +103,7 @@ def test_tasks_are_well_formed_with_ids_of_their_own(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name for name in FIXED if name != "open-v3:missions"])
-def test_positions_colours_shapes_and_sizes_are_balanced(name: str) -> None:
+def test_positions_colours_shapes_and_sizes_are_balanced(name):
     tasks = tasks_of(load_suite(name))
     every = [gate for task in tasks for gate in task.gates]
     if name == "open-v2:absent":  # there is no right gate, and one category
@@ -141,24 +122,24 @@ def test_positions_colours_shapes_and_sizes_are_balanced(name: str) -> None:
 @pytest.mark.parametrize(
     "name", ["open-v1:test", "open-v1:unseen", "open-v1:hard", "open-v2:test", "open-v2:layouts", *WORDS]
 )
-def test_positions_are_balanced_in_every_family(name: str) -> None:
+def test_positions_are_balanced_in_every_family(name):
     tasks = tasks_of(load_suite(name))
     for family in {task.family for task in tasks}:
         assert spread((task.target for task in tasks if task.family == family), range(3)) <= 1
 
 
-def test_shares_of_the_families() -> None:
+def test_shares_of_the_families():
     test = Counter(task.family for task in tasks_of(load_suite("open-v1:test")))
     assert test == {family: 50 if family in ("attributes", "people") else 25 for family in BASE_FAMILIES}
     assert set(HARD_FAMILIES) == {task.family for task in tasks_of(load_suite("open-v1:hard"))}
 
 
-def test_memory_tasks_fly_on_tracks() -> None:
+def test_memory_tasks_fly_on_tracks():
     for track in load_suite("open-v1:hard").tracks:
         assert (len(track) >= 3) == (track[0].family == "memory")
 
 
-def test_train_grows_to_any_size_and_each_task_stays_what_it_is() -> None:
+def test_train_grows_to_any_size_and_each_task_stays_what_it_is():
     suite = load_suite("open-v1:train", size=10**9, seed=3)
     assert suite.n_tasks == len(suite.tracks) == 10**9
     assert suite.tracks[-1][0] == train_task(10**9 - 1, seed=3)
@@ -171,7 +152,7 @@ def test_train_grows_to_any_size_and_each_task_stays_what_it_is() -> None:
         assert load_suite(name, size=UNLIMITED) is load_suite(name)
 
 
-def test_the_beginning_of_a_fixed_suite_has_a_name_and_digest_of_its_own() -> None:
+def test_the_beginning_of_a_fixed_suite_has_a_name_and_digest_of_its_own():
     part = load_suite("open-v1:smoke", size=7)
     assert part.n_tasks == 7
     assert part.name == "open-v1:smoke[:7]"
@@ -183,12 +164,12 @@ def test_the_beginning_of_a_fixed_suite_has_a_name_and_digest_of_its_own() -> No
     ("name", "size", "message"),
     [("open-v1:tset", None, "did you mean 'open-v1:test'"), ("open-v1:test", 0, "at least 1")],
 )
-def test_unknown_suites_and_sizes(name: str, size: int | None, message: str) -> None:
+def test_unknown_suites_and_sizes(name, size, message):
     with pytest.raises(TaskError, match=message):
         load_suite(name, size=size)
 
 
-def test_a_changed_suite_file_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_changed_suite_file_is_noticed(tmp_path, monkeypatch):
     text = resources.files("cognitivedrone.tasks").joinpath("suites/open-v1/smoke.json").read_text(encoding="utf-8")
     changed = tmp_path / "suites" / "open-v1" / "smoke.json"
     changed.parent.mkdir(parents=True)
@@ -203,14 +184,14 @@ def test_a_changed_suite_file_is_noticed(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 @pytest.mark.parametrize("name", WORDS)
-def test_words_has_a_hundred_tasks_a_category_of_every_family_of_single_tasks(name: str) -> None:
+def test_words_has_a_hundred_tasks_a_category_of_every_family_of_single_tasks(name):
     tasks = tasks_of(load_suite(name))
     assert Counter(task.category for task in tasks) == dict.fromkeys(CATEGORIES, 100)
     assert {task.family for task in tasks} == {*BASE_FAMILIES, *HARD_FAMILIES} - {"memory"}
 
 
 @pytest.mark.parametrize("name", AUTHORED)
-def test_sentences_are_short_printable_and_all_different(name: str) -> None:
+def test_sentences_are_short_printable_and_all_different(name):
     sentences = [task.instruction for task in tasks_of(load_suite(name))]
     assert len({problems.plain(text) for text in sentences}) == len(sentences)
     for text in sentences:
@@ -220,32 +201,31 @@ def test_sentences_are_short_printable_and_all_different(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", WORDS)
-def test_words_shows_only_what_training_shows(name: str) -> None:
+def test_words_shows_only_what_training_shows(name):
     known = {*TRAIN.fonts, *TRAIN.styles, *TRAIN.backgrounds, "color"}
     for task in tasks_of(load_suite(name)):
         for reference in (*task.labels, task.board):
             assert reference is None or reference.rpartition("@")[2] in known
 
 
-def test_later_words_are_longer_and_share_no_sentence_with_the_earlier() -> None:
+def test_later_words_are_longer_and_share_no_sentence_with_the_earlier():
     earlier, later = ([problems.plain(t.instruction) for t in tasks_of(load_suite(name))] for name in WORDS)
     assert not {*earlier} & {*later}
     assert np.median([len(text.split()) for text in later]) >= 2 * np.median([len(text.split()) for text in earlier])
 
 
-def test_answers_of_sums_in_later_words_are_right() -> None:
+def test_answers_of_sums_in_later_words_are_right():
     boards = [task for task in tasks_of(load_suite("open-v3:words")) if task.family == "math_board"]
     assert len(boards) == 14
     for task in boards:
         numbers = [int(option) for option in task.options]
-        assert task.board is not None
         a, operator, b = re.fullmatch(r"sum/(\d+)([-+*])(\d+)@.*", task.board).groups()
         right = {"+": int(a) + int(b), "-": int(a) - int(b), "*": int(a) * int(b)}[operator]
         assert numbers.index(right) == task.target
 
 
 @pytest.mark.parametrize("share", [8, pytest.param(1, marks=pytest.mark.slow)])
-def test_sentences_repeat_none_of_a_generator_or_of_another_suite(share: int) -> None:
+def test_sentences_repeat_none_of_a_generator_or_of_another_suite(share):
     words = {plain(task.instruction) for name in AUTHORED for task in tasks_of(load_suite(name))}
     for name in BUILT:
         assert not words & {plain(task.instruction) for task in tasks_of(load_suite(name))}, name
@@ -263,19 +243,19 @@ def plain(text: str) -> str:
     return text.casefold().strip(" .!?")
 
 
-def test_a_suite_of_each_version_is_suggested() -> None:
+def test_a_suite_of_each_version_is_suggested():
     with pytest.raises(TaskError, match="did you mean 'open-v2:words'"):
         load_suite("open-v2:wrods")
     assert {name for name in FIXED if not name.startswith("open-v1:")} == TEST_ONLY
     assert set(AUTHORED) <= TEST_ONLY
 
 
-def test_every_suite_says_what_it_tests() -> None:
+def test_every_suite_says_what_it_tests():
     assert set(ABOUT) == set(SUITES)
     assert "recur" in ABOUT["open-v1:hard"]
 
 
-def test_test_is_drawn_anew_from_the_ingredients_of_training() -> None:
+def test_test_is_drawn_anew_from_the_ingredients_of_training():
     new, old = (tasks_of(load_suite(name)) for name in ("open-v2:test", "open-v1:test"))
     assert Counter(task.family for task in new) == Counter(task.family for task in old)
     assert not {(task.instruction, task.labels) for task in new} & {(task.instruction, task.labels) for task in old}
@@ -288,7 +268,7 @@ def test_test_is_drawn_anew_from_the_ingredients_of_training() -> None:
 # ---- the user's own files
 
 
-def test_a_file_and_a_folder_become_suites(tmp_path: Path) -> None:
+def test_a_file_and_a_folder_become_suites(tmp_path):
     tasks = [train_task(i) for i in range(4)]
     write_tasks(tmp_path / "a.json", tasks[:2])
     write_tasks(tmp_path / "b.json", tasks[2:])
@@ -299,20 +279,20 @@ def test_a_file_and_a_folder_become_suites(tmp_path: Path) -> None:
     assert len(both.digest) == 64
 
 
-def test_what_systems_leave_in_a_folder_is_no_task_file(tmp_path: Path) -> None:
+def test_what_systems_leave_in_a_folder_is_no_task_file(tmp_path):
     write_tasks(tmp_path / "a.json", [train_task(i) for i in range(2)])
     (tmp_path / "._a.json").write_bytes(b"\0\5\x16\7")
     assert suite_from_files(tmp_path).n_tasks == 2
 
 
-def test_published_folders_are_read(tmp_path: Path) -> None:
+def test_published_folders_are_read(tmp_path):
     (tmp_path / "Reasoning" / "Food").mkdir(parents=True)
     write_tasks(tmp_path / "Reasoning" / "Food" / "Food.json", [train_task(8)])
     (tmp_path / "Reasoning" / "Food" / "setup.json").write_text(json.dumps({"not": "tasks"}))
     assert suite_from_files(tmp_path).n_tasks == 1
 
 
-def test_files_that_make_no_suite(tmp_path: Path) -> None:
+def test_files_that_make_no_suite(tmp_path):
     with pytest.raises(TaskError, match="holds no task file"):
         suite_from_files(tmp_path)
     with pytest.raises(TaskError, match="cannot be read"):
@@ -322,7 +302,7 @@ def test_files_that_make_no_suite(tmp_path: Path) -> None:
         suite_from_files(tmp_path)
 
 
-def test_the_documentation_names_the_digests() -> None:
+def test_the_documentation_names_the_digests():
     text = (Path(__file__).resolve().parents[2] / "docs" / "suites.md").read_text(encoding="utf-8")
     for name in FIXED:
         suite = load_suite(name)

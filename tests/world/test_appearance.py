@@ -94,10 +94,19 @@ def test_blur_is_the_mean_of_neighbours_in_a_row() -> None:
 
 def test_a_lens_moves_whole_pixels_towards_the_middle_or_away() -> None:
     image = np.random.default_rng(1).integers(0, 256, (64, 64, 3), dtype=np.uint8)
-    seen = image.copy()
-    expose(seen, dataclasses.replace(PLAIN, distortion=0.06), 0)
-    np.testing.assert_array_equal(seen[30:34, 30:34], image[30:34, 30:34])
-    assert {*map(tuple, seen.reshape(-1, 3))} <= {*map(tuple, image.reshape(-1, 3))}
+    for distortion in (0.06, -0.06):
+        seen = image.copy()
+        expose(seen, dataclasses.replace(PLAIN, distortion=distortion), 0)
+        assert (seen != image).any()
+        np.testing.assert_array_equal(seen[30:34, 30:34], image[30:34, 30:34])
+        assert {*map(tuple, seen.reshape(-1, 3))} <= {*map(tuple, image.reshape(-1, 3))}
+
+
+def test_a_lens_dims_what_is_far_from_the_middle() -> None:
+    image = np.full((64, 64, 3), 200, np.uint8)
+    expose(image, dataclasses.replace(PLAIN, vignetting=0.3), 0)
+    assert image[32, 32, 0] == 200
+    assert image[0, 0, 0] < 180
 
 
 def test_exposure() -> None:

@@ -1,9 +1,6 @@
 """Places: the shipped ones, the light that is read off them, and panoramas of a user's own, good and bad."""
 
-from __future__ import annotations
-
 import hashlib
-import io
 import json
 from importlib import resources
 
@@ -18,7 +15,7 @@ from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.types import Gate, Stage
 from cognitivedrone.world import places
-from cognitivedrone.world.appearance import PLAIN, expose, photo_appearance
+from cognitivedrone.world.appearance import PLAIN, photo_appearance
 from cognitivedrone.world.assets import build_assets
 
 STAGE = Stage(
@@ -211,23 +208,6 @@ def test_one_place_of_ones_own_is_drawn_at_a_time(tmp_path):
     assert blue[2] > 2 * blue[0]
 
 
-def test_a_lens_bends_dims_and_blurs():
-    y, x = np.mgrid[0:64, 0:64]
-    picture = np.repeat(((x // 8 + y // 8) % 2 * 255).astype(np.uint8)[..., None], 3, axis=2)
-    for change in ({"distortion": 0.06}, {"distortion": -0.06}, {"vignetting": 0.3}):
-        seen = picture.copy()
-        expose(seen, PLAIN.__class__(**{**_fields(PLAIN), **change}), 0)
-        assert (seen != picture).any()
-        assert seen.max() == 255
-    blurred = picture.copy()
-    expose(blurred, PLAIN, 0, 3.0)
-    assert len(np.unique(blurred)) > 2
-
-
-def _fields(appearance):
-    return {name: getattr(appearance, name) for name in appearance.__slots__}
-
-
 @pytest.mark.parametrize(
     ("size", "said"),
     [
@@ -262,21 +242,6 @@ def test_a_part_of_a_sphere_is_drawn_where_its_own_metadata_say(tmp_path):
 def test_a_name_that_is_neither_place_nor_file_is_met_with_the_nearest(tmp_path):
     with pytest.raises(AppearanceError, match="did you mean 'warehouse'"):
         places.load_place("wearhouse")
-
-
-@pytest.mark.parametrize("mode", ["1", "L", "LA", "P", "RGBA", "CMYK", "I;16"])
-def test_panoramas_of_every_kind_are_read(tmp_path, mode):
-    if mode == "I;16":
-        Image.fromarray(np.linspace(0, 65535, 512)[None].repeat(256, 0).astype(np.uint16)).save(tmp_path / "mine.png")
-    elif mode == "CMYK":
-        with io.BytesIO() as kept:
-            panorama().convert("CMYK").save(kept, "JPEG")
-            (tmp_path / "mine.png").write_bytes(kept.getvalue())
-    else:
-        panorama().convert(mode).save(tmp_path / "mine.png")
-    pixels = places.load_place(str(tmp_path / "mine.png")).pixels
-    assert pixels.shape == (1024, 2048, 3)
-    assert np.ptp(pixels) > 50
 
 
 @pytest.mark.parametrize(("value", "said"), [(0, "all black"), (255, "all white"), (90, "all of one colour")])
@@ -318,11 +283,7 @@ def test_a_file_of_200_megabytes_is_refused_before_it_is_read(tmp_path):
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"", ""),
         (b"<html>", ""),
-        (b"\0" * 1000, ""),
-        (b"v/1\x01 exr", ""),
-        (b"RIFF....AVI ", ""),
         (b"\x76\x2f\x31\x01" + bytes(100), "high dynamic range; save it as PNG or JPEG"),
         (b"#?RADIANCE\n", "high dynamic range; save it as PNG or JPEG"),
         (bytes([0, 0, 0, 24]) + b"ftypisom" + bytes(100), "a video; save one frame of it"),
@@ -333,16 +294,6 @@ def test_files_that_are_no_pictures_are_refused_with_the_way_out_where_their_kin
     (tmp_path / "mine.jpg").write_bytes(content)
     with pytest.raises(AppearanceError, match=rf"panorama .* cannot be read.*{said}"):
         places.load_place(str(tmp_path / "mine.jpg"))
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_pixels_that_are_no_numbers_are_refused(tmp_path, value):
-    """A picture of 32-bit floating point under any name: its white is unknown, and it may hold NaN and infinities."""
-    pixels = np.full((128, 256), 0.5, np.float32)
-    pixels[10, 10] = value
-    Image.fromarray(pixels).save(tmp_path / "mine.tif")
-    with pytest.raises(AppearanceError, match="TIFF picture"):
-        places.load_place(str(tmp_path / "mine.tif"))
 
 
 def test_half_floats_of_the_package_of_panoramas_are_mended_when_the_places_are_built():

@@ -1,17 +1,14 @@
-from __future__ import annotations
-
 import hashlib
-import io
 import json
 import re
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
 
+import benchmark_fakes
 import numpy as np
 import pytest
 import reason_fakes
-from rich.console import Console
 
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.reasoning.reason import ReasonPlan, ReasonResults, out_of, score_reasoner, views
@@ -49,9 +46,7 @@ def lasting(results: ReasonResults) -> list:
 
 
 def text_of(results: ReasonResults) -> str:
-    console = Console(file=io.StringIO(), width=80)
-    console.print(reason_table(results))
-    return console.file.getvalue()
+    return benchmark_fakes.text_of(reason_table(results))
 
 
 @pytest.mark.parametrize(
@@ -124,7 +119,6 @@ def test_it_sees_what_a_flight_of_the_same_seed_sees_first(config, look):
     runner = PilotRunner(resolve(run))
     film = runner.fly(1, film=True).film
     runner.close()
-    assert film is not None
     assert hashlib.sha256(film[0].image.tobytes()).hexdigest() == answer.image_sha256
 
 

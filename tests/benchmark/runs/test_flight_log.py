@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -22,7 +20,6 @@ def test_a_film_holds_what_every_step_was_flown_by(reasoner):
     assert flown.result == plain.result
     assert plain.film is None
     film = flown.film
-    assert film is not None
     assert len(film) == flown.result.steps
     task = job.suite.tracks[0][0]
     output = task.instruction if reasoner == "none" else task.directive

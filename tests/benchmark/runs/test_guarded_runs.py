@@ -1,7 +1,5 @@
 """Runs with the guard: part of their identity, counted in their rows, and told below the table."""
 
-from __future__ import annotations
-
 import json
 from typing import cast
 
@@ -38,7 +36,6 @@ def test_the_guard_is_part_of_a_run_and_what_it_changed_is_in_its_rows(plan, tmp
     plain, guarded = plan.changed(out=tmp_path / "plain"), plan.changed(guard=True)
     results = run(guarded, progress=False)
     (episode,) = results.episodes
-    assert episode.guard is not None
     assert episode.guard.touched == episode.guard.speed == episode.steps
     assert episode.guard.slew == episode.steps
     assert "--guard" in command_of(guarded)

@@ -1,9 +1,7 @@
 """A Ray cluster that fails, or a node of it, played without Ray: a sentence with the way out, not Ray's text."""
 
-from __future__ import annotations
-
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -74,14 +72,14 @@ class PlayedRay:
 
 
 @pytest.fixture
-def play(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[str, object], object]], PlayedRay]:
+def play(monkeypatch):
     """Plays a cluster that answers so."""
 
-    def playing(answer: Callable[[str, object], object]) -> PlayedRay:
+    def playing(answer):
         ray = PlayedRay(answer)
 
         @contextlib.contextmanager
-        def cluster(_: object) -> Iterator[PlayedRay]:
+        def cluster(_):
             yield ray
 
         monkeypatch.setattr(ray_pool, "ray_cluster", cluster)
@@ -95,8 +93,8 @@ def pool() -> RayPool[int, str]:
     return RayPool(work, 1, 1)
 
 
-def test_what_ray_itself_raises_is_one_sentence_with_the_way_out(play) -> None:
-    def answer(name: str, _: object) -> object:
+def test_what_ray_itself_raises_is_one_sentence_with_the_way_out(play):
+    def answer(name, _):
         if name == "fly":
             raise RuntimeError("The node with node id: 12ab\nhas been marked dead because the agent failed")
         return "fails" if name == "kill" else None
@@ -111,10 +109,10 @@ def test_what_ray_itself_raises_is_one_sentence_with_the_way_out(play) -> None:
         list(flying.fly([1, 2]))
 
 
-def test_an_episode_on_a_node_that_fails_is_flown_again(play) -> None:
+def test_an_episode_on_a_node_that_fails_is_flown_again(play):
     failed: list[object] = []
 
-    def answer(name: str, item: object) -> object:
+    def answer(name, item):
         if name == "fly" and not failed:
             failed.append(item)
             raise RayTaskError(RayError("the agent of this node has died"))
@@ -126,11 +124,11 @@ def test_an_episode_on_a_node_that_fails_is_flown_again(play) -> None:
     assert ray.actors == 2
 
 
-def test_one_that_fails_on_every_node_ends_the_run_with_the_way_out(play) -> None:
-    def answer(name: str, _: object) -> object:
+def test_one_that_fails_on_every_node_ends_the_run_with_the_way_out(play):
+    def answer(name, _):
         if name == "fly":
             raise RayTaskError(RayError("the agent of this node has died"))
-        return None
+        return
 
     play(answer)
     says = f"episode 1 has lost its worker {LOSSES} times; continue with --resume"
@@ -138,8 +136,8 @@ def test_one_that_fails_on_every_node_ends_the_run_with_the_way_out(play) -> Non
         list(flying.fly([1]))
 
 
-def test_no_node_that_opens_a_worker_ends_it_too(play) -> None:
-    def answer(name: str, _: object) -> object:
+def test_no_node_that_opens_a_worker_ends_it_too(play):
+    def answer(name, _):
         raise RayError("the agent of this node has died")
 
     play(lambda name, item: None if name == "kill" else answer(name, item))
@@ -157,9 +155,7 @@ def test_no_node_that_opens_a_worker_ends_it_too(play) -> None:
         ("small", None, 1.0, 0.0),
     ],
 )
-def test_an_actor_reserves_a_gpu_for_a_network_on_one(
-    play, policy: str, asked: float | None, there: float, reserved: float
-) -> None:
+def test_an_actor_reserves_a_gpu_for_a_network_on_one(play, policy, asked, there, reserved):
     ray = play(lambda name, item: None)
     ray.gpus = there
     plan = Plan.of(policy=policy, executor="ray", gpus_per_worker=asked)
@@ -168,7 +164,7 @@ def test_an_actor_reserves_a_gpu_for_a_network_on_one(
         assert ray.reserved == {"num_cpus": 1, "num_gpus": reserved}
 
 
-def test_workers_by_default_are_as_many_as_the_cards_that_hold_the_network(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_workers_by_default_are_as_many_as_the_cards_that_hold_the_network(monkeypatch):
     made: list[int] = []
     monkeypatch.setattr(runner, "ProcessPool", lambda flights, workers: made.append(workers))
     monkeypatch.setattr(cards, "here", lambda: Cards(("0", "1")))

@@ -1,13 +1,10 @@
 """Runs of the racing suite: scored and shown without a word of choosing."""
 
-from __future__ import annotations
-
-import io
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from rich.console import Console
+from benchmark_fakes import text_of
 
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.reports.drawing import episode_map
@@ -41,9 +38,7 @@ def test_the_oracle_passes_and_the_stages_are_recorded_as_they_stood(flown):
 
 def test_table_and_report_have_the_race_and_no_chance_of_guessing_right(flown):
     results, records = flown
-    console = Console(width=100, record=True, file=io.StringIO())
-    console.print(results_table(results))
-    table = console.export_text()
+    table = text_of(results_table(results), 100)
     page = render_report(results, [records[k].trace for k in range(2)], [])
     assert "pass|choice" in table
     for text in (table, page):

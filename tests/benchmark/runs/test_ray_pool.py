@@ -1,14 +1,11 @@
 """Episodes on a Ray cluster are those of a local run, whatever becomes of its nodes and workers: the extra `ray`."""
 
-from __future__ import annotations
-
-import json
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import benchmark_fakes
 import pytest
+from benchmark_fakes import lasting
 
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.runs import runner
@@ -39,12 +36,6 @@ def cluster():
 def spread(config, cluster):
     """The twenty episodes, in two actors."""
     return config.changed(executor="ray", workers=2)
-
-
-def lasting(folder: Path) -> dict:
-    """What must be the same as in a local run."""
-    document = json.loads((folder / "results.json").read_text())
-    return {key: value for key, value in document.items() if key not in ("timing", "platform")}
 
 
 def local(config: Plan, name: Any = RUNNER, workers: int = 0) -> dict:

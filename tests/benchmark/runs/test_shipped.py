@@ -1,7 +1,5 @@
 """The models that come with the install, as everybody flies them. Their scores: docs/small.md and docs/r1.md."""
 
-from __future__ import annotations
-
 import pytest
 
 from cognitivedrone.benchmark import Plan, run

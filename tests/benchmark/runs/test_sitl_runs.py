@@ -1,7 +1,5 @@
 """The benchmark on ArduCopter: a played one in every test run, the real one where it is at hand."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from typing import cast
@@ -35,7 +33,6 @@ def test_a_task_is_flown_on_another_autopilot_and_the_run_tells_so(sitl, tmp_pat
     assert stage.outcome == "passed"
     assert stage.path_m > 3
     link = results.timing.link
-    assert link is not None
     # A flight of that long at 400 frames a second, and the take-off before it.
     assert link.frames > 400 * stage.time_s
     assert (link.lost, link.restarts) == (0, 0)
@@ -48,27 +45,22 @@ def test_a_task_is_flown_on_another_autopilot_and_the_run_tells_so(sitl, tmp_pat
 
 
 def test_files_without_a_link_are_of_our_own_autopilot(config):
-    results = run(config, progress=False, runner=benchmark_fakes.FakeRunner)
+    run(config, progress=False, runner=benchmark_fakes.FakeRunner)
     document = json.loads((config.out / "results.json").read_text())
     assert not {"link", "autopilot"} & document["options"].keys()
     assert "link" not in document["timing"]
     assert results_from_json(document, "here").run.option("link") == "sim"
-    timing = replace(results.timing, link=LinkReport(1200, 3, 2))
-    table = results_table(replace(results, timing=timing))
-    assert "ArduCopter: 1200 frames of physics, 3 lost; started anew 2 times" in [
-        str(row) for row in cast(Group, table).renderables
-    ]
 
 
 def test_the_reason_of_every_restart_is_in_the_results_and_the_table(config):
-    link = LinkReport(1200, 0, 3, ("fell silent", "the mode became LAND", "fell silent"))
+    link = LinkReport(1200, 2, 3, ("fell silent", "the mode became LAND", "fell silent"))
     results = run(config, progress=False, runner=benchmark_fakes.FakeRunner)
     timing = replace(results.timing, link=link)
     again = results_from_json(json.loads(json.dumps(results_to_json(replace(results, timing=timing)))), "here")
     assert again.timing.link == link
     table = [str(row) for row in cast(Group, results_table(again)).renderables]
     started = "started anew 3 times: fell silent (2 times); the mode became LAND"
-    assert f"ArduCopter: 1200 frames of physics, 0 lost; {started}" in table
+    assert f"ArduCopter: 1200 frames of physics, 2 lost; {started}" in table
 
 
 @pytest.mark.parametrize(
@@ -90,6 +82,5 @@ def test_what_cannot_be_flown_is_reported_before_anything_is_written(sitl, monke
 def test_a_real_arducopter_flies_a_few_tasks_without_a_lost_frame(sitl):
     results = run(sitl.changed(episodes=3, airframe="racer"), progress=False)
     assert [stage.outcome for episode in results.episodes for stage in episode.stages] == ["passed"] * 3
-    assert results.timing.link is not None
     assert (results.timing.link.lost, results.timing.link.restarts) == (0, 0)
     assert REAL

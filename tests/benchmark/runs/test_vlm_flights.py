@@ -1,7 +1,5 @@
 """Whole flights with a chat API behind a real socket: whatever it answers, the flight goes on and is told."""
 
-from __future__ import annotations
-
 import json
 import time
 import warnings
@@ -26,15 +24,9 @@ def flown(script, out, timeout=60.0, latency="none"):
     with serving(script) as url, warnings.catch_warnings(record=True) as expected:
         warnings.simplefilter("always")
         config = Plan.of(
-            policy="colour_seeker",
-            reasoner=f"vlm:{url},model=eye-7b,timeout={timeout}",
-            suite="open-v1:smoke",
-            workers=0,
-            episodes=1,
-            latency=latency,
-            out=out,
-            clips=0,
-        )
+            policy="colour_seeker", reasoner=f"vlm:{url},model=eye-7b,timeout={timeout}", suite="open-v1:smoke",
+            workers=0, episodes=1, latency=latency, out=out, clips=0,
+        )  # fmt: skip
         results = run(config, progress=False)
     return results.episodes[0].stages[0], [str(warning.message) for warning in expected]
 

@@ -1,7 +1,5 @@
 """Scores of missions: whole flights, path lengths, collisions, clearance, forbidden zones."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
@@ -88,9 +86,10 @@ def test_a_malformed_file_is_refused_with_the_place(document, change, message):
 def test_a_missing_or_broken_file_is_reported(tmp_path):
     with pytest.raises(RunError, match="give the --out folder of a finished run"):
         read_results(tmp_path)
-    (tmp_path / "results.json").write_text("{")
-    with pytest.raises(RunError, match="cannot be read"):
-        read_results(tmp_path)
+    for text, says in (("{", "cannot be read"), ('{"schema": NaN}', "NaN is no finite number")):
+        (tmp_path / "results.json").write_text(text)
+        with pytest.raises(RunError, match=says):
+            read_results(tmp_path)
     (tmp_path / "results.json").write_text("[]")
     with pytest.raises(RunError, match="is no results file of this version: its schema is None"):
         read_results(tmp_path)
@@ -98,23 +97,6 @@ def test_a_missing_or_broken_file_is_reported(tmp_path):
 
 def test_writing_and_reading_is_stable(document):
     assert results_to_json(results_from_json(document, "here")) == document
-
-
-@pytest.mark.parametrize(
-    ("content", "expected"),
-    [
-        ('{"schema": 1, "schema": 2}', "the name 'schema' is given twice"),
-        ('{"schema": NaN}', "NaN is no finite number"),
-        ('{"schema": -Infinity}', "Infinity is no finite number"),
-        ('{"schema": 1e999}', "1e999 is no finite number"),
-        ("[" * 100_000, "cannot be read"),
-    ],
-)
-def test_what_json_allows_and_we_never_write_is_refused(tmp_path, content, expected):
-    file = tmp_path / "results.json"
-    file.write_text(content)
-    with pytest.raises(RunError, match=expected):
-        read_results(file)
 
 
 def test_an_episode_without_a_stage_is_refused(document):

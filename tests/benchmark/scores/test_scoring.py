@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -34,18 +32,10 @@ FAMILIES = {
 
 def stage(outcome="passed", *, category="reasoning", family="math", target=0, chosen=0, distance=0.1, time_s=5.0):
     return StageResult(
-        task_id="t",
-        category=category,
-        family=family,
-        target=target,
-        outcome=outcome,
-        chosen=chosen,
-        time_s=time_s,
-        path_m=6.0,
-        path_ratio=1.1 if outcome in ("passed", "wrong_gate") else None,
-        clearance_m=0.2 if outcome in ("passed", "wrong_gate") else None,
-        gate_distance_m=distance,
-    )
+        task_id="t", category=category, family=family, target=target, outcome=outcome, chosen=chosen,
+        time_s=time_s, path_m=6.0, path_ratio=1.1 if outcome in ("passed", "wrong_gate") else None,
+        clearance_m=0.2 if outcome in ("passed", "wrong_gate") else None, gate_distance_m=distance,
+    )  # fmt: skip
 
 
 @st.composite
@@ -118,12 +108,8 @@ def test_choices_stand_by_right_gate_and_gate_flown_at():
 def test_nothing_to_count_gives_no_rate():
     result = score([stage("invalid")])
     assert (result.n, result.rate, result.ci95, result.choice_accuracy, result.mean_time_s) == (
-        0,
-        None,
-        None,
-        None,
-        None,
-    )
+        0, None, None, None, None,
+    )  # fmt: skip
     assert mean_of([result]).rate is None
     assert summarize([]).overall.n == 0
 
