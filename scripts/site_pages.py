@@ -39,7 +39,7 @@ PYTHON = {
     "interfaces": ("interfaces", "types", "registry"),
     "errors": ("errors",),
     "tasks": ("tasks.suites", "tasks.format", "tasks.generate", "tasks.families", "tasks.families.pictures", "layout"),
-    "labels": ("labels.pack", "labels.folder", "labels.shipped", "labels.extended", "references"),
+    "labels": ("labels", "labels.folder", "labels.shipped", "labels.extended", "references"),
     "environments": ("envs.gym", "envs.vector", "envs.wrappers", "envs.options"),
     "data": ("data.store", "data.episode", "data.formats", "collect.recipe", "collect.fleet"),
     "pilots": ("policies", "reasoners", "pilot", "plan"),
