@@ -8,7 +8,7 @@ from jaxtyping import TypeCheckError
 from typechecked import unchecked
 
 from cognitivedrone.frames import rotation_matrix
-from cognitivedrone.models.small_file import Output
+from cognitivedrone.models.small_file import Flown
 from cognitivedrone.types import DroneState, Observation
 
 FRAME = np.zeros((256, 256, 3), np.uint8)
@@ -39,10 +39,10 @@ def test_another_kind_of_number_fails():
 
 
 def test_lengths_that_belong_together_and_differ_fail():
-    action, choice = np.zeros((2, 1, 4), np.float32), np.zeros((2, 4), np.float32)
-    assert Output(action, choice, np.zeros((2, 3, 4), np.float32)).action is action
-    with pytest.raises(TypeCheckError, match="gates"):
-        Output(action, choice, np.zeros((1, 3, 4), np.float32))
+    options = np.zeros((2, 4, 1, 4), np.float32)
+    assert Flown(options, np.zeros((2, 4), np.float32)).options is options
+    with pytest.raises(TypeCheckError, match="inclination"):
+        Flown(options, np.zeros((1, 4), np.float32))
 
 
 def test_what_a_user_may_pass_is_passed_unchecked():

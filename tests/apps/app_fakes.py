@@ -20,9 +20,10 @@ from cognitivedrone.apps.mjpeg import FrameServer
 from cognitivedrone.apps.orders import Orders
 from cognitivedrone.apps.values import Summary
 from cognitivedrone.apps.vehicle import Served, serve_vehicle
+from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.pilot import Pilot
 from cognitivedrone.policies.baselines import Hover
-from cognitivedrone.types import ActionChunk, EpisodeContext, Guidance, Image, Observation
+from cognitivedrone.types import ActionChunk, EpisodeContext, Guidance, Image, Observation, SeenPanel
 from cognitivedrone.vehicles.contract import Pace
 
 
@@ -66,8 +67,10 @@ class Echo:
         return Guidance(f"Fly through the {instruction.removesuffix(' gate').split()[-1]} gate", None, 0.9)
 
 
-class Doubtful:
-    """Sure of cats alone; directs to the red gate."""
+class Doubtful(Reasoner):
+    """Sure of cats alone; directs to the red gate, and says where it is."""
+
+    seen = (SeenPanel("red", (128.0, 60.0, 30.0), "", ()),)
 
     def refine(self, image: Image, instruction: str) -> Guidance:
         return Guidance("Fly through the red gate", None, 0.9 if "cat" in instruction else 0.2)

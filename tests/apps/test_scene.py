@@ -265,7 +265,7 @@ def test_another_instruction_ends_the_look(tmp_path, monkeypatch):
     assert summary.ending.kind == "missed"
     seen = events(tmp_path / "f")
     assert seen["hold"]["time_s"] < seen["segment"]["time_s"] < seen["sure"]["time_s"] + 0.1
-    assert seen["sure"]["text"].startswith("flying on")
+    assert seen["sure"]["text"].startswith("looked closer")
     assert np.abs(sent(tmp_path / "f"))[-5:, 0].min() > 0
 
 

@@ -1,6 +1,5 @@
 """The command in this process: what it passes on, and what it prints."""
 
-import hashlib
 import io
 import json
 import platform
@@ -19,7 +18,9 @@ from cognitivedrone import checkout
 from cognitivedrone.benchmark.config import Plan, SweepPlan
 from cognitivedrone.benchmark.runs.sweep import plan_of
 from cognitivedrone.cli import FIRST, TARGETS, help_text, load, main
+from cognitivedrone.files import digest_of_files
 from cognitivedrone.plan import Scenario
+from cognitivedrone.policies.small import Small
 from cognitivedrone.tasks import load_suite, write_tasks
 from cognitivedrone.tasks.suites import how_many, suite_of
 from cognitivedrone.terminal.progress import progress_bar
@@ -48,7 +49,7 @@ def test_a_model_file_is_flown_in_wind_and_told_of(capsys, tmp_path, tiny_model_
     assert "gates flown at" in printed
     results = json.loads((tmp_path / "results.json").read_text())
     assert results["options"]["wind_m_s"] == 1.5
-    assert results["options"]["model"] == hashlib.sha256(tiny_model_file.read_bytes()).hexdigest()
+    assert results["options"]["model"] == digest_of_files(*Small.file_of(tiny_model_file))
     assert "--wind 1.5" in results["platform"]["command"]
     report = (tmp_path / "report.html").read_text()
     assert "wind 1.5 m/s" in report

@@ -38,7 +38,7 @@ _ANY = 1
 _FAINT = 1e-4  # share of a thing that is not ruled out
 _OF_THINGS = ("kind/thing", "kind/unknown")
 _LOOKS: Final[list[str]] = [*COLORS, *SHAPES, *SIZES]
-_MISTAKEN = np.array([0.01] * len(COLORS) + [0.1] * len(SHAPES) + [0.2] * len(SIZES), np.float32)
+_MISTAKEN = np.array([1e-3] * len(COLORS) + [0.1] * len(SHAPES) + [0.2] * len(SIZES), np.float32)
 """How likely a gate that seems to look otherwise does look as asked: colours are sure, and sizes are not."""
 
 Floats = NDArray[np.float32]

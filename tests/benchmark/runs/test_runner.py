@@ -228,11 +228,12 @@ def test_another_wind_is_another_run(config):
 
 
 def test_another_model_in_the_same_file_is_another_run(config, tmp_path):
-    file = tmp_path / "model.onnx"
-    file.write_bytes(b"first")
+    file, eyes = tmp_path / "model.onnx", tmp_path / "eyes.onnx"
+    file.write_bytes(b"head")
+    eyes.write_bytes(b"first")
     flown = config.changed(policy=f"small:{file}")
     run(flown, progress=False, runner=RUNNER)
-    file.write_bytes(b"second")
+    eyes.write_bytes(b"second")
     with pytest.raises(RunError, match=r"options\.model is"):
         run(replace(flown, resume=True), progress=False, runner=RUNNER)
 

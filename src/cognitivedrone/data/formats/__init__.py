@@ -44,7 +44,7 @@ def export(episodes: Iterable[tuple[Split, Episode]], to: str, out: Path) -> int
     that is not empty, and anything that cannot be written.
     """
     writer = _function("export format", to, EXPORTS)
-    return cast(int, writer(_some(episodes, out), out))
+    return cast(int, writer(_some(episodes, out) if to in EXPORTS else episodes, out))
 
 
 def _some(episodes: Iterable[tuple[Split, Episode]], out: Path) -> Iterator[tuple[Split, Episode]]:
