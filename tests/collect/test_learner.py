@@ -27,6 +27,7 @@ def short_flights(monkeypatch):
 
 @pytest.fixture
 def model(tiny_model_file, tmp_path):
+    shutil.copy(tiny_model_file.with_name("eyes.onnx"), tmp_path)
     return shutil.copy(tiny_model_file, tmp_path / "model.onnx")
 
 
