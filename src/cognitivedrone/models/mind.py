@@ -15,7 +15,6 @@ of the gates is chosen.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -25,7 +24,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.eyes.sight import LOOKS, attributes_of
-from cognitivedrone.models.onnx_file import check_graph, field_of, numbers_of, open_model
+from cognitivedrone.models.onnx_file import check_graph, field_of, numbers_of, open_model, shared
 from cognitivedrone.models.words.concepts import Concepts, ConceptsModel, concepts_of, evidence
 from cognitivedrone.models.words.text_encoder import TextEncoderModel
 from cognitivedrone.tasks.directives import looks_asked
@@ -97,8 +96,7 @@ class Mind:
     @classmethod
     def of(cls, path: Path, *, threads: int = 1) -> Mind:
         """As `load`, one for policy and reasoner."""
-        files = (path, concepts_of(path))
-        return _shared(path, threads, tuple(file.stat().st_mtime_ns if file.is_file() else 0 for file in files))
+        return shared(cls.load, path, concepts_of(path), threads=threads)
 
     def weigh(self, instruction: str, panels: Floats, looks: Floats, board: Floats) -> Weighed:
         """The language's opinion on readings: panels (3, F), looks (3, 8), and board (F,), zero where there is none."""
@@ -138,9 +136,3 @@ def fits_of(asked: Sequence[str | None], looks: Floats) -> Floats:
     columns = [_LOOKS.index(word) for word in asked if word is not None]
     fits: Floats = np.maximum(looks, _MISTAKEN)[:, columns].prod(axis=1)
     return fits
-
-
-@functools.lru_cache(maxsize=4)
-def _shared(path: Path, threads: int, changed_ns: tuple[int, ...]) -> Mind:  # noqa: ARG001  (part of the key)
-    """Loaded again when a file has changed."""
-    return Mind.load(path, threads=threads)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 import json
 import multiprocessing
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import resources
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError, import_extra
 from cognitivedrone.files import read_regular, reason_of, replacing
@@ -70,6 +73,24 @@ def check_model_file(path: Path) -> None:
         raise ModelError(
             f"{path} has {path.stat().st_size / 2**20:.0f} MB; a small model has at most {LARGEST_BYTES / 2**20:.0f} MB"
         )
+
+
+def beside(model: Path, name: str) -> Path:
+    """A file that belongs to a model's: the one in the same folder, or the packaged one."""
+    near = model.parent / name
+    return near if near.is_file() else Path(str(resources.files("cognitivedrone.models"))) / "weights" / name
+
+
+def shared(load: Callable[..., T], path: Path, *others: Path, threads: int = 1) -> T:
+    """What `load` makes of a file, one for policy and reasoner; made again where it or one of `others` has changed."""
+    changed = tuple(file.stat().st_mtime_ns if file.is_file() else 0 for file in (path, *others))
+    found: T = _loaded(load, path, threads, changed)
+    return found
+
+
+@functools.lru_cache(maxsize=16)
+def _loaded(load: Callable[..., Any], path: Path, threads: int, changed_ns: tuple[int, ...]) -> Any:  # noqa: ARG001
+    return load(path, threads=threads)
 
 
 def open_model(
@@ -158,6 +179,13 @@ def numbers_of(session: Any, outputs: Sequence[str], inputs: Mapping[str, Any], 
                 f"{what} answers with values that are not numbers ({name}), so its weights are damaged; train or"
                 " download it again"
             )
+    return found
+
+
+def shares_of(logits: NDArray[Any]) -> NDArray[Any]:
+    """Probabilities (..., n) of logits (..., n)."""
+    shares = np.exp(logits - logits.max(axis=-1, keepdims=True))
+    found: NDArray[Any] = shares / shares.sum(axis=-1, keepdims=True)
     return found
 
 

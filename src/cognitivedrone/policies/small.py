@@ -21,7 +21,7 @@ from cognitivedrone.models.eyes.opinions import Opinions
 from cognitivedrone.models.eyes.picture_classifier import PictureClassifier, classifier_of
 from cognitivedrone.models.eyes.sight import EYES_FILE, Sight
 from cognitivedrone.models.mind import LANGUAGE_FILE, Mind, fits_of
-from cognitivedrone.models.onnx_file import check_model_file
+from cognitivedrone.models.onnx_file import check_model_file, shares_of
 from cognitivedrone.models.small_file import MODEL_FILE, Flown, SmallModel
 from cognitivedrone.models.words.concepts import concepts_of
 from cognitivedrone.models.words.text_encoder import encoder_of
@@ -142,12 +142,12 @@ class Small(Policy):
                 " `cognitivedrone train` and give its file, as in --policy small:model.onnx"
             )
         head = packaged if path is None else Path(path)
-        found = [head, head.with_name(EYES_FILE)]
+        found = [head, head.with_name(EYES_FILE), *([eye_of(head)] if avoid else [])]
         if (language := head.with_name(LANGUAGE_FILE)).is_file():
             found += [language, classifier_of(head), concepts_of(head), encoder_of(head)]
-        for file in (*found, *([eye_of(head)] if avoid else [])):
+        for file in found:
             check_model_file(file)  # a run hashes it before it is loaded
-        return (*found, *([eye_of(head)] if avoid else []))
+        return tuple(found)
 
     def reset(self, context: EpisodeContext) -> None:
         """Take a new instruction.
@@ -305,7 +305,7 @@ def _decide(
     if model.mind is not None and sight.readings is not None and sight.boxes is not None:
         asked, present = _judged(model.mind, sight.readings[row], sight.boxes[row], sight.looks[row], there, frame)
         logits[:3] += asked
-    choice = _softmax(np.where([*there, True], logits, -np.inf))
+    choice = shares_of(np.where([*there, True], logits, -np.inf))
     action = flown.options[row, int(choice.argmax())]
     return Decision(action, choice, gates, present, *(() if seen is None else (part[row] for part in seen)))
 
@@ -327,14 +327,8 @@ def _judged(
         panels, classes = frame.opinions.joined(panels, looks), frame.opinions.classes(colors.tolist())
     board = readings[3] if boxes[3, 3] > _BOARD else np.zeros_like(readings[3])
     heard = mind.weigh(frame.text, panels, looks, board)
-    present = 1 - float(_softmax(np.where([*there, True], heard.match, -np.inf))[3])
+    present = 1 - float(shares_of(np.where([*there, True], heard.match, -np.inf))[3])
     return heard.choice + mind.evidence(frame.text, panels, classes), present
-
-
-def _softmax(logits: FloatArray) -> FloatArray:
-    shares = np.exp(logits - logits.max())
-    found: FloatArray = shares / shares.sum()
-    return found
 
 
 class Race(Small):
@@ -344,6 +338,11 @@ class Race(Small):
 
     def __init__(self, path: Path | str | None = None, *, stack: int = 1) -> None:
         super().__init__(path, stack=stack, avoid=False)
+
+    @classmethod
+    def file_of(cls, path: Path | str | None = None, *, stack: int = 1, avoid: bool = False) -> tuple[Path, ...]:
+        """As `Small.file_of`: it sees no obstacles."""
+        return super().file_of(path, stack=stack, avoid=avoid)
 
 
 def state_of(observation: Observation) -> FloatArray:

@@ -25,10 +25,10 @@ from cognitivedrone.models.eyes.opinions import Opinions
 from cognitivedrone.models.eyes.picture_classifier import PictureClassifier, classifier_of
 from cognitivedrone.models.eyes.sight import EYES_FILE, LOOKS, EyesModel
 from cognitivedrone.models.mind import LANGUAGE_FILE, Mind, fits_of
-from cognitivedrone.models.onnx_file import check_model_file
+from cognitivedrone.models.onnx_file import check_model_file, shares_of
 from cognitivedrone.models.words.concepts import Concepts, concepts_of
 from cognitivedrone.models.words.scene_tokens import SceneText
-from cognitivedrone.models.words.selector_file import SELECTOR_FILE, GateSelectorModel, shares_of
+from cognitivedrone.models.words.selector_file import SELECTOR_FILE, GateSelectorModel
 from cognitivedrone.models.words.text_encoder import encoder_of
 from cognitivedrone.reasoners.scene_text import STAGES, ReadScene, SceneWriter, gate_of
 from cognitivedrone.tasks.directives import HOLD, looks_asked, write_directive
@@ -36,7 +36,7 @@ from cognitivedrone.types import COLORS, EpisodeContext, Guidance, Image, SeenPa
 
 _SEEN = 0.3  # minimum score of a visible gate or board
 _DECLINED, _NAMED = 0.4, 0.28  # least probability of the answer that no gate matches; of a gate, more than one of four
-_SELECTOR, _OTHERS = 0.8, 0.2  # weights of opinions; set, not learnt
+_SELECTOR, _LANGUAGE, _EVIDENCE = 0.8, 0.2, 0.5  # weights of opinions; set, not learnt
 _LEAST = 1e-6  # share of an answer that is not ruled out
 _SAID = 4  # readings of a panel for displays
 _LEGIBLE_PX = 8.0  # panels lower than this are illegible
@@ -227,9 +227,9 @@ class SmallReasoner(Reasoner):
         if text != self._answered[0]:  # the selector costs most, and is asked again only when the scene reads otherwise
             self._answered = text, self.selector.choose(text)
         heard = self.mind.weigh(instruction, scene.panels, scene.looks, scene.board).match
-        told = _SELECTOR * np.log(self._answered[1] + _LEAST) + _OTHERS * np.log(shares_of(heard[None])[0] + _LEAST)
-        told[:3] += _OTHERS * self.mind.evidence(instruction, scene.panels, classes)
-        chosen: Floats = shares_of(told[None])[0]
+        told = _SELECTOR * np.log(self._answered[1] + _LEAST) + _LANGUAGE * np.log(shares_of(heard) + _LEAST)
+        told[:3] += _EVIDENCE * self.mind.evidence(instruction, scene.panels, classes)
+        chosen: Floats = shares_of(told)
         return chosen
 
     def _shown(self, gates: Sequence[tuple[int, _Gate]]) -> Floats:

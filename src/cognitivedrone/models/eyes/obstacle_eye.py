@@ -6,7 +6,6 @@ ask it about every frame.
 
 from __future__ import annotations
 
-from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.errors import PolicyError
-from cognitivedrone.models.onnx_file import check_graph, numbers_of, open_model
+from cognitivedrone.models.onnx_file import beside, check_graph, numbers_of, open_model
 from cognitivedrone.types import IMAGE_SIZE
 
 EYE_FILE: Final = "obstacles.onnx"
@@ -58,6 +57,4 @@ class ObstacleEye:
 
 def eye_of(model: Path) -> Path:
     """The obstacle eye of a policy's file: the one beside it, or the packaged one."""
-    beside = model.parent / EYE_FILE
-    packaged = Path(str(resources.files("cognitivedrone.models"))) / "weights" / EYE_FILE
-    return beside if beside.is_file() else packaged
+    return beside(model, EYE_FILE)

@@ -11,13 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.eyes.picture_classifier import CLASSES, crop_of, paper_share
+from cognitivedrone.models.onnx_file import shares_of
 from cognitivedrone.types import COLORS, Image
 
 _FLOOR = 0.005  # added to the classifier's probabilities, and that of a thing that it cannot name
@@ -101,7 +102,7 @@ class Opinions:
             shares = readings[row, self._things]
             mass = shares.sum()
             told = (_FILLED + (1 - _FILLED) * paper) * np.log(shares / max(mass, _LEAST) + _LEAST)
-            together = _softmax(told + (panel.opinion / panel.answers).astype(np.float32))
+            together = shares_of(told + (panel.opinion / panel.answers).astype(np.float32))
             sure = (1 - paper) * together.max() * (1 - readings[row, self._others].max(initial=0.0))
             found[row] *= 1 - sure
             found[row, self._things] = (mass * (1 - sure) + sure) * together
@@ -114,7 +115,7 @@ class Opinions:
         for row, color in enumerate(colors):
             if (panel := self._panels.get(color)) is not None:
                 told[row] = panel.classes / panel.answers
-        return _softmax(told).astype(np.float32)
+        return shares_of(told).astype(np.float32)
 
     def look(self, image: Image, boxes: Floats, colors: Sequence[int], most: int = len(COLORS)) -> bool:
         """Ask about panels (n, 3) of a frame (256, 256, 3): centre and height, pixels, and their gates' colours.
@@ -152,9 +153,3 @@ def on_paper(crop: NDArray[np.uint8]) -> float:
     """Whether a picture is a drawing on paper, 1, or fills its panel, 0."""
     low, high = _PAPER
     return min(1.0, max(0.0, (paper_share(crop) - low) / (high - low)))
-
-
-def _softmax(logits: NDArray[Any]) -> NDArray[Any]:
-    shares = np.exp(logits - logits.max(axis=-1, keepdims=True))
-    found: NDArray[Any] = shares / shares.sum(axis=-1, keepdims=True)
-    return found

@@ -5,9 +5,7 @@ Policies and reasoners whose description says `classifier` ask it; `opinions` re
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,7 +14,7 @@ import PIL.Image
 from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError
-from cognitivedrone.models.onnx_file import check_graph, field_of, numbers_of, open_model
+from cognitivedrone.models.onnx_file import beside, check_graph, field_of, numbers_of, open_model, shared
 from cognitivedrone.types import IMAGE_SIZE, Image
 
 CLASSIFIER_FILE: Final = "picture_classifier.onnx"
@@ -59,7 +57,7 @@ class PictureClassifier:
     @classmethod
     def of(cls, path: Path) -> PictureClassifier:
         """As `load`, one for policy and reasoner."""
-        return _shared(path, path.stat().st_mtime_ns if path.is_file() else 0)
+        return shared(cls.load, path)
 
     def shares(self, crops: NDArray[np.uint8]) -> tuple[Floats, Floats]:
         """Probabilities (n, things) and (n, CLASSES) for crops (n, SIDE, SIDE, 3).
@@ -70,17 +68,9 @@ class PictureClassifier:
         return shares, classes
 
 
-@functools.lru_cache(maxsize=4)
-def _shared(path: Path, changed_ns: int) -> PictureClassifier:  # noqa: ARG001  (part of the key)
-    """Loaded again when its file has changed."""
-    return PictureClassifier.load(path)
-
-
 def classifier_of(model: Path) -> Path:
     """The picture classifier of a model's file: the one beside it, or the packaged one."""
-    beside = model.parent / CLASSIFIER_FILE
-    packaged = Path(str(resources.files("cognitivedrone.models"))) / "weights" / CLASSIFIER_FILE
-    return beside if beside.is_file() else packaged
+    return beside(model, CLASSIFIER_FILE)
 
 
 def crop_of(image: Image, u: float, v: float, height: float) -> NDArray[np.uint8] | None:

@@ -11,7 +11,6 @@ Gates are unordered.
 
 from __future__ import annotations
 
-import functools
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError, PolicyError
 from cognitivedrone.models.attributes import AttributeSchema
-from cognitivedrone.models.onnx_file import check_graph, count_of, field_of, numbers_of, open_model
+from cognitivedrone.models.onnx_file import check_graph, count_of, field_of, numbers_of, open_model, shared
 from cognitivedrone.types import IMAGE_SIZE, Image
 
 EYES_FILE: Final = "eyes.onnx"
@@ -88,7 +87,7 @@ class EyesModel:
     @classmethod
     def of(cls, path: Path, *, threads: int = 1) -> EyesModel:
         """As `load`, one for policy and reasoner."""
-        return _shared(path, threads, path.stat().st_mtime_ns if path.is_file() else 0)
+        return shared(cls.load, path, threads=threads)
 
     def see(self, images: NDArray[np.uint8]) -> Sight:
         """Of frames (n, 256, 256, 3). A frame that was seen a moment ago is not looked at again.
@@ -110,12 +109,6 @@ class EyesModel:
 
     def _look(self, images: NDArray[np.uint8]) -> Sight:
         return Sight(*numbers_of(self._session, self._outputs, {"image": images}, "the eyes"))
-
-
-@functools.lru_cache(maxsize=4)
-def _shared(path: Path, threads: int, changed_ns: int) -> EyesModel:  # noqa: ARG001  (part of the key)
-    """Loaded again when its file has changed."""
-    return EyesModel.load(path, threads=threads)
 
 
 def attributes_of(table: Mapping[str, Any], where: str) -> AttributeSchema:

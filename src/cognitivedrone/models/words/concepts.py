@@ -10,7 +10,6 @@ of the text encoder that read the table.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError
-from cognitivedrone.models.onnx_file import check_graph, count_of, field_of, numbers_of, open_model
+from cognitivedrone.models.onnx_file import beside, check_graph, count_of, field_of, numbers_of, open_model
 from cognitivedrone.models.words.text_encoder import TextEncoderModel
 
 CONCEPTS: Final = "concepts"
@@ -126,7 +125,4 @@ def evidence(shares: Floats, fits: Floats) -> Floats:
 
 def concepts_of(model: Path) -> Path:
     """The table of concepts of a model's file: the one beside it, or the packaged one."""
-    beside = model.parent / CONCEPTS_FILE
-    return (
-        beside if beside.is_file() else Path(str(resources.files("cognitivedrone.models"))) / "weights" / CONCEPTS_FILE
-    )
+    return beside(model, CONCEPTS_FILE)

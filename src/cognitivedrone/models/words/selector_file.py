@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cognitivedrone.errors import ModelError
 from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.eyes.sight import attributes_of
-from cognitivedrone.models.onnx_file import check_graph, field_of, numbers_of, open_model
+from cognitivedrone.models.onnx_file import check_graph, field_of, numbers_of, open_model, shares_of
 from cognitivedrone.models.words.scene_tokens import INPUTS, SceneText, SceneTokenizer, stacked
 
 SELECTOR: Final = "gate-selector"
@@ -66,10 +66,3 @@ class GateSelectorModel:
         (logits,) = numbers_of(self._session, ("logits",), inputs, "the gate selector")
         found: Floats = logits
         return found
-
-
-def shares_of(logits: Floats) -> Floats:
-    """Probabilities (B, 4)."""
-    shares = np.exp(logits - logits.max(axis=1, keepdims=True))
-    found: Floats = shares / shares.sum(axis=1, keepdims=True)
-    return found

@@ -8,7 +8,6 @@ that it was trained with. The network is `models.words.language.TextEncoder`.
 
 from __future__ import annotations
 
-import functools
 from collections import OrderedDict
 from collections.abc import Sequence
 from importlib import resources
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError
-from cognitivedrone.models.onnx_file import check_graph, count_of, field_of, numbers_of, open_model
+from cognitivedrone.models.onnx_file import beside, check_graph, count_of, field_of, numbers_of, open_model, shared
 from cognitivedrone.models.words.calculator import calculate
 from cognitivedrone.models.words.scene_tokens import INPUTS, SceneTokenizer, number_text, stacked
 
@@ -65,7 +64,7 @@ class TextEncoderModel:
     def of_digest(cls, digest: str, model: Path, *, threads: int = 1) -> TextEncoderModel:
         """The text encoder of a model's file, which names it by its digest; raises `ModelError` where it is another."""
         path = encoder_of(model)
-        found = _shared(path, threads, path.stat().st_mtime_ns if path.is_file() else 0)
+        found = shared(cls.load, path, threads=threads)
         if found.digest != digest:
             raise ModelError(
                 f"{model} was trained with another text encoder than {path}; put the {FILE} that came with it beside"
@@ -97,12 +96,6 @@ class TextEncoderModel:
         return sums
 
 
-@functools.lru_cache(maxsize=4)
-def _shared(path: Path, threads: int, changed_ns: int) -> TextEncoderModel:  # noqa: ARG001  (part of the key)
-    """One text encoder for policy and reasoner, loaded again when its file changed."""
-    return TextEncoderModel.load(path, threads=threads)
-
-
 def packed(words: Sequence[Floats]) -> Floats:
     """(n, L, W) of several instructions, padded with zeros."""
     longest = max(len(each) for each in words)
@@ -114,8 +107,7 @@ def packed(words: Sequence[Floats]) -> Floats:
 
 def encoder_of(model: Path) -> Path:
     """The text encoder of a model's file: the one beside it, or the packaged one."""
-    beside = model.parent / FILE
-    return beside if beside.is_file() else packaged_encoder()
+    return beside(model, FILE)
 
 
 def packaged_encoder() -> Path:
