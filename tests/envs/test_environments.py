@@ -18,7 +18,9 @@ from cognitivedrone.envs.vector import CognitiveDroneVectorEnv
 from cognitivedrone.errors import LabelError, PolicyError, SimulationError, TaskError, UsageError
 from cognitivedrone.policies.expert import Expert
 from cognitivedrone.tasks import train_task
+from cognitivedrone.training.perception.ground_truth import project
 from cognitivedrone.types import EpisodeContext
+from cognitivedrone.world.geometry import panel_centers
 
 
 @pytest.fixture(scope="module")
@@ -241,3 +243,18 @@ def test_with_a_camera_that_looks_down_observations_have_its_view_too():
     assert (seen["down"] != seen["image"]).any()
     for env in (alone, many, plain):
         env.close()
+
+
+def test_depth_is_how_far_ahead_of_the_camera_the_panels_are():
+    alone = CognitiveDroneEnv("open-v1:smoke", depth=True, down_camera=True)
+    many = CognitiveDroneVectorEnv(2, "open-v1:smoke", depth=True)
+    seen, shown = (env.reset(seed=3, options={"episode": 0, "seed": 0})[0] for env in (alone, many))
+    assert alone.observation_space.contains(seen)
+    assert many.observation_space.contains(shown)
+    assert (seen["depth"] == shown["depth"][0]).all()
+    state, stage = alone.track_runner.world.state(), alone.track_runner.stage
+    panels = project(panel_centers(stage)[None], state.position[None], state.quaternion[None])[0]
+    for u, v, distance in panels:
+        assert seen["depth"][int(v), int(u)] == pytest.approx(distance, rel=0.01)
+    alone.close()
+    many.close()

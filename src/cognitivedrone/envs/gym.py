@@ -85,7 +85,8 @@ class CognitiveDroneEnv(gymnasium.Env[Any, Action]):
     `reset(options={"episode": i, "seed": n})` the one that the benchmark flies as episode i with `--seed n`.
     Raises `TaskError`, `LabelError`, `SimulationError` or `UsageError` for a suite, labels, conditions or an option
     that cannot be, and `NotReset` for a step before the first reset. `observe="state"` and `reward="progress"` are for
-    learning to fly (`envs.learning`): both know the right gate.
+    learning to fly (`envs.learning`): both know the right gate. `depth` adds, to each pixel of the image, how far ahead
+    of the camera what it shows is, m.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
@@ -101,6 +102,7 @@ class CognitiveDroneEnv(gymnasium.Env[Any, Action]):
         render_mode: str | None = None,
         camera: Camera = "drone",
         down_camera: bool = False,
+        depth: bool = False,
         observe: Observe = "camera",
         reward: Reward = "passed",
         **options: Any,
@@ -108,11 +110,12 @@ class CognitiveDroneEnv(gymnasium.Env[Any, Action]):
         scenario = scenario_of(type(self).__init__, suite, options)
         self._states, self._shaped = learns_by(observe, reward)
         self.suite = tasks_of(suite, scenario)
-        self.observation_space = state_space() if self._states else observation_space(down_camera=down_camera)
+        pictures = observation_space(down_camera=down_camera, depth=depth)
+        self.observation_space = state_space() if self._states else pictures
         self.action_space = action_space()  # type: ignore[assignment]
         self.view = TaskView(render_mode, camera, find_airframe(scenario.airframe))
         self.render_mode = render_mode
-        self._down = down_camera
+        self._down, self._depth = down_camera, depth
         self._worlds = Worlds.of(scenario, time_limit_s=time_limit_s)
         (self.track_runner,) = self._worlds.runners
         self._progress = Progress(self.track_runner)
@@ -166,7 +169,7 @@ class CognitiveDroneEnv(gymnasium.Env[Any, Action]):
     def _observe(self) -> Any:
         if self._states:
             return states_of([self.track_runner])[0]
-        return {name: values[0] for name, values in self._worlds.observe(down=self._down).items()}
+        return {name: values[0] for name, values in self._worlds.observe(down=self._down, depth=self._depth).items()}
 
     def _info(self, **more: Any) -> Info:
         return {"task": self.track_runner.task, "results": tuple(self.track_runner.results), **more}

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from cognitivedrone.envs.track_runner import TrackRunner
 from cognitivedrone.errors import ActionError, SimulationError, TaskError, UnknownOption, did_you_mean
 from cognitivedrone.plan import Scenario
+from cognitivedrone.sim.drawing.camera import FAR_M
 from cognitivedrone.sim.dynamics import MAX_BODY_RATE_RAD_S, MAX_POSITION_M, MAX_VELOCITY_M_S
 from cognitivedrone.tasks import Suite
 from cognitivedrone.tasks.validate import MAX_TEXT
@@ -95,7 +96,7 @@ def action_space() -> spaces.Box:
     return spaces.Box(-limit, limit, dtype=np.float32)
 
 
-def observation_space(*, down_camera: bool = False) -> spaces.Dict:
+def observation_space(*, down_camera: bool = False, depth: bool = False) -> spaces.Dict:
     """The space of `Observation`, for one world. Beyond the bounds, a flight counts as diverged."""
     # The heading frame mixes the world's x and y, so one component can be as large as both together.
     fastest = math.sqrt(2) * MAX_VELOCITY_M_S
@@ -103,6 +104,7 @@ def observation_space(*, down_camera: bool = False) -> spaces.Dict:
     return spaces.Dict(
         {
             "image": picture,
+            **({"depth": spaces.Box(0, FAR_M, (IMAGE_SIZE, IMAGE_SIZE), np.float32)} if depth else {}),
             **({"down": picture} if down_camera else {}),
             "instruction": InstructionSpace(),
             "velocity": _within(fastest, 3),

@@ -66,6 +66,7 @@ class CognitiveDroneVectorEnv(VectorEnv[Any, FloatArray, FloatArray]):
         render_mode: str | None = None,
         camera: Camera = "drone",
         down_camera: bool = False,
+        depth: bool = False,
         observe: Observe = "camera",
         reward: Reward = "passed",
         **options: Any,
@@ -87,13 +88,14 @@ class CognitiveDroneVectorEnv(VectorEnv[Any, FloatArray, FloatArray]):
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}  # type: ignore[misc]
         self.suite = tasks_of(suite, scenario)
         self.render_mode = render_mode
-        self.single_observation_space = state_space() if self._states else observation_space(down_camera=down_camera)
+        pictures = observation_space(down_camera=down_camera, depth=depth)
+        self.single_observation_space = state_space() if self._states else pictures
         self.single_action_space = action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.views = [TaskView(render_mode, camera, find_airframe(scenario.airframe)) for _ in range(num_envs)]
         self._most_steps = None if max_episode_steps == -1 else max_episode_steps
-        self._camera, self._copy, self._down = camera, copy, down_camera
+        self._camera, self._copy, self._down, self._depth = camera, copy, down_camera, depth
         threads = threads or min(cores(), num_envs)
         self._worlds = Worlds.of(scenario, num_envs, time_limit_s=time_limit_s, threads=threads)
         self._progress = [Progress(runner) for runner in self._worlds.runners]
@@ -178,7 +180,7 @@ class CognitiveDroneVectorEnv(VectorEnv[Any, FloatArray, FloatArray]):
     def _observe(self) -> Any:
         if self._states:
             return states_of(self._worlds.runners)
-        observation = self._worlds.observe(self._images, down=self._down)
+        observation = self._worlds.observe(self._images, down=self._down, depth=self._depth)
         return observation | {"image": self._images.copy()} if self._copy else observation
 
     def _info(self, results: list[StageResult | None]) -> Info:

@@ -20,6 +20,7 @@ from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite
 from cognitivedrone.types import (
     ACTION_LIMITS,
+    IMAGE_SIZE,
     Action,
     Commands,
     DroneState,
@@ -147,11 +148,13 @@ class Worlds(AbstractContextManager["Worlds"]):
         """Begin an episode of a suite in one world, as the benchmark flies it with this seed."""
         self.runners[world].begin(suite.tracks[episode], episode_rng(suite.digest, episode, seed))
 
-    def observe(self, frames: Images | None = None, *, down: bool = False) -> dict[str, Any]:
+    def observe(self, frames: Images | None = None, *, down: bool = False, depth: bool = False) -> dict[str, Any]:
         """What the drones see and measure: arrays (count, ...) by the names of `observation_space`, and sentences."""
         flight = self.simulator.flight
+        depths = np.empty((len(self.runners), IMAGE_SIZE, IMAGE_SIZE), np.float32) if depth else None
         return {
-            "image": self.simulator.frames(frames),
+            "image": self.simulator.frames(frames, depth=depths),
+            **({} if depths is None else {"depth": depths}),
             **({"down": self.simulator.frames(down=True)} if down else {}),
             "instruction": tuple(runner.instruction for runner in self.runners),
             "velocity": world_to_heading(flight.velocity, yaw_of(flight.quaternion)).astype(np.float32),

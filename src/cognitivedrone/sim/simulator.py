@@ -72,17 +72,29 @@ class Simulator:
             for world, gate_monitor in enumerate(self._gate_monitors)
         ]
 
-    def frames(self, out: Images | None = None, worlds: Sequence[int] | None = None, *, down: bool = False) -> Images:
-        """First-person views (n, size, size, 3) of all worlds, or of some; those of the camera that looks down."""
+    def frames(
+        self,
+        out: Images | None = None,
+        worlds: Sequence[int] | None = None,
+        *,
+        down: bool = False,
+        depth: FloatArray | None = None,
+    ) -> Images:
+        """First-person views (n, size, size, 3) of all worlds, or of some; those of the camera that looks down.
+
+        `depth` (n, size, size) float32 is filled as by `Cameras.first_person`.
+        """
         if self.cameras is None:
             raise ValueError("this simulator was made without cameras")
         flight, times = self.flight, self.ticks * BatchedFlight.TICK_S
         rates = flight.body_rates[:, 2]
         if worlds is None:
-            return self.cameras.first_person(flight.position, flight.quaternion, out, None, rates, times, down=down)
+            position, quaternion = flight.position, flight.quaternion
+            return self.cameras.first_person(position, quaternion, out, None, rates, times, down=down, depth=depth)
         chosen = list(worlds)
         position, quaternion = flight.position[chosen], flight.quaternion[chosen]
-        return self.cameras.first_person(position, quaternion, out, chosen, rates[chosen], times[chosen], down=down)
+        rates, times = rates[chosen], times[chosen]
+        return self.cameras.first_person(position, quaternion, out, chosen, rates, times, down=down, depth=depth)
 
     def gate_monitor(self, world: int) -> GateMonitor:
         """The gate monitor of the current stage."""

@@ -31,7 +31,7 @@ from cognitivedrone.world.engine import mujoco
 from cognitivedrone.world.places import names
 from cognitivedrone.world.scene import Movers, add_drone, fill_scene, move, new_scene
 
-_NEAR, _FAR = 0.03, 200.0
+_NEAR, FAR_M = 0.03, 200.0
 _TOP_DRONE_SCALE = 3.0
 _SUPERSAMPLE = 2  # third-person views are drawn this many times larger and downsampled, for smooth edges
 
@@ -101,13 +101,15 @@ class Cameras:
         times: ArrayLike | None = None,
         *,
         down: bool = False,
+        depth: FloatArray | None = None,
     ) -> Images:
         """First-person images (n, size, size, 3) uint8 of drones at `positions` (n, 3) world m, attitudes (n, 4) wxyz.
 
         Image i shows the world of `slots[i]`, or of slot i without `slots`. A slot may occur several times.
         The result is written into `out` if given. `yaw_rates` (n,) rad/s blur the pictures of appearances with an
         exposure. `times` (n,) s since each flight began say where moving obstacles are. `down` takes the camera under
-        the drone instead.
+        the drone instead. `depth` (n, size, size) float32 is filled with how far ahead of the camera what it shows is,
+        m, at most `FAR_M`.
         """
         position = np.asarray(positions, dtype=np.float64)
         axes = rotation_matrix(np.asarray(quaternions, dtype=np.float64))
@@ -135,7 +137,7 @@ class Cameras:
             self._check(slot)
             jobs[slot % len(jobs)].append((index, slot // len(jobs)))
         pending = [
-            thread.call(partial(renderer.first_person, job, eye, forward, up, out, blur, clock))
+            thread.call(partial(renderer.first_person, job, eye, forward, up, out, blur, clock, depth))
             for thread, renderer, job in zip(self._threads, self._renderers, jobs, strict=True)
             if job
         ]
@@ -245,8 +247,9 @@ class _Renderer:
         out: Images,
         blur: FloatArray,
         times: FloatArray,
+        depth: FloatArray | None,
     ) -> None:
-        """Render (index, slot) pairs of `job` into `out[index]`."""
+        """Render (index, slot) pairs of `job` into `out[index]`, and `depth[index]` if given."""
         slots = dict(job)
 
         def drawn() -> Iterator[int]:
@@ -256,12 +259,21 @@ class _Renderer:
                     move(self._scenes[slot], movers, float(times[index]))
                 _aim(self._scenes[slot], eye[index], forward[index], up[index])
                 mujoco.mjr_render(self._viewport, self._scenes[slot], self._context)
+                if depth is not None:
+                    depth[index] = self._depth()
                 yield index
 
         for index in self._readback.frames(drawn(), out):
             appearance = self._looks[slots[index]]
             pose = np.concatenate([eye[index], forward[index], up[index]])
             expose(out[index], appearance, zlib.crc32(pose.tobytes()), appearance.exposure_s * blur[index])
+
+    def _depth(self) -> FloatArray:
+        """(size, size), m, of the frame that was drawn last: OpenGL's depth is 0 at the near plane, 1 at the far."""
+        rows = np.empty((self._size, self._size), np.float32)
+        mujoco.mjr_readPixels(None, rows, self._viewport, self._context)
+        meters: FloatArray = _NEAR * FAR_M / (FAR_M - rows[::-1] * (FAR_M - _NEAR))
+        return meters
 
     def overlook(self, slot: int, state: DroneState, scale: float, size: tuple[int, int], view: View) -> Image:
         """A third-person view, including the drone: (h, w, 3)."""
@@ -294,7 +306,7 @@ def _set_lens(scene: Any, field_of_view: float) -> None:
         camera.orthographic = 0
         camera.frustum_center = camera.frustum_width = 0.0
         camera.frustum_bottom, camera.frustum_top = -half, half
-        camera.frustum_near, camera.frustum_far = _NEAR, _FAR
+        camera.frustum_near, camera.frustum_far = _NEAR, FAR_M
 
 
 def _aim(scene: Any, eye: Vector, forward: Vector, up: Vector) -> None:
