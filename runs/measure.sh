@@ -134,7 +134,20 @@ if wanted speed && [[ $size == full ]]; then
   measure serving serving
 fi
 
+submitted() { # PILOT NAME
+  local runs=()
+  for suite in open-v2:words open-v2:pictures open-v1:unseen open-v1:test open-v1:hard; do
+    runs+=("$out/scores/$1/${suite//:/-}")
+  done
+  cognitivedrone submit "${runs[@]}" --name "$2" --by CognitiveDrone --out "$here/leaderboard/$1.json"
+}
+
 if [[ ${KEEP:-yes} == yes ]]; then
+  if wanted scores && [[ $size == full ]]; then
+    submitted r1 "CognitiveDrone-R1 (small)"
+    submitted small "CognitiveDrone (small)"
+    submitted race "RaceVLA baseline (race)"
+  fi
   "$python" "$here/scripts/keep_results.py" "$out" "$results" "$here/results"
   "$python" "$here/scripts/render_tables.py"
 fi

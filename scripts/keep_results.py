@@ -16,6 +16,7 @@ import json
 import shutil
 import sys
 from pathlib import Path
+from typing import Any
 
 from cognitivedrone.audit.catalogue import AUDITS
 from cognitivedrone.audit.run import AUDIT_FILE
@@ -49,8 +50,23 @@ def main(out: Path, results: Path, pages: Path | None = None) -> None:
     for path in sorted(results.glob("*.json")) if pages else []:
         shown = pages / path.name
         if shown.is_file() and weights_of(shown) - weights_of(path):
-            shown.replace(pages / f"{path.stem}_before.json")
+            keep_former(shown, pages / f"{path.stem}_before.json")
         shutil.copyfile(path, shown)
+
+
+def keep_former(shown: Path, before: Path) -> None:
+    """Add the runs that pages showed to those of before, in place of older ones of the same suite and options."""
+    document = json.loads(shown.read_text(encoding="utf-8"))
+    older = json.loads(before.read_text(encoding="utf-8"))["runs"] if before.is_file() else []
+    new = [flown_as(each) for each in document["runs"]]
+    document["runs"] += [each for each in older if flown_as(each) not in new]
+    before.write_text(json.dumps(document, ensure_ascii=False, separators=(",", ":")), encoding="utf-8")
+
+
+def flown_as(run: dict[str, Any]) -> tuple[Any, ...]:
+    """What a run flew, but for the weights."""
+    options = {name: value for name, value in run["run"]["options"].items() if name not in WEIGHTS}
+    return run["run"]["suite"], options
 
 
 def weights_of(path: Path) -> set[tuple[str | None, ...]]:

@@ -84,10 +84,13 @@ class Store:
         """The scores of a pilot on a suite with these options, by default the suite's own, and no others; none if that
         was not flown.
         """
-        options = options or own_options(suite)
+        options, before = options or own_options(suite), f"results/{pilot}_before.json"
+        used = before in self.used
         runs = [run for run in self.runs(pilot) if run.run.suite.name == suite and run.flown_with(**options)]
         if runs and is_former(runs[0]):
             self.former[f"`{pilot}` on `{suite}`"] = None
+        elif not used:  # nothing of it is shown
+            self.used.pop(before, None)
         return runs[0].summary if runs else None
 
 
