@@ -166,12 +166,12 @@ def states(text: str, key: str, value: object) -> bool:
 
 
 def making_recorded(receipt: Path) -> str | None:
-    """The hash of the manifest head in a receipt: "" if it has none, None if it is unreadable."""
+    """The hash of the manifest head in a receipt; None if it is unreadable."""
     try:
         content = read_json(receipt)
     except DataError:
         return None
-    return str(content.get("making", "")) if isinstance(content, dict) and "sha256" in content else None
+    return content.get("making") if isinstance(content, dict) else None
 
 
 def check_receipt(receipt: Any, where: str) -> None:
@@ -313,8 +313,8 @@ def check_format(path: Path, manifest: Any) -> None:
 
 
 def check_sum(path: Path, name: str) -> None:
-    """Raise `DataError` if a file of a store does not match its checksum; old stores have none."""
-    if (path / SUMS).exists() and read_sums(path).get(name) != sha256_of(path / name):
+    """Raise `DataError` if a file of a store does not match its checksum."""
+    if read_sums(path).get(name) != sha256_of(path / name):
         raise DataError(
             f"{path / name}: does not match its checksum in {SUMS}; one of them was altered, collect again with "
             "--resume to repair it"
@@ -336,7 +336,7 @@ def is_sound(path: Path, manifest: Any) -> bool:
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
         return False
     if manifest.get("complete") is False:
-        return manifest.get("making") in (None, making_of(head_of(manifest)))
+        return bool(manifest.get("making") == making_of(head_of(manifest)))
     try:
         check_sum(path, MANIFEST)
     except DataError:
