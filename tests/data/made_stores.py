@@ -35,13 +35,3 @@ def seal(store: Path) -> None:
     """Write the checksums of what is there now: for stores that were forged with care."""
     hashes = {name: sha256(content).hexdigest() for name, content in files_of(store).items() if name != SUMS}
     (store / SUMS).write_text(sums_text(hashes))
-
-
-def age(store: Path) -> Path:
-    """Make a store into one of the first releases, which had no checksums and receipts of no making."""
-    (store / SUMS).unlink()
-    for receipt in (store / "shards").glob("*.json"):
-        lines = receipt.read_text().splitlines()
-        at = next(number for number, line in enumerate(lines) if line.startswith(' "making"'))
-        receipt.write_text("\n".join([*lines[: at - 1], lines[at - 1].removesuffix(","), *lines[at + 1 :]]) + "\n")
-    return store

@@ -1,7 +1,6 @@
 """Statistics say what the actions are; splits are fixed, as large as they say, and have their share of every family."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -9,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cognitivedrone.data.episode import Episode
-from cognitivedrone.data.statistics import EXACT, draw_of, draw_splits, splits_again, spread, threshold_indices
+from cognitivedrone.data.statistics import EXACT, draw_of, draw_splits, spread, threshold_indices
 from cognitivedrone.data.store import Store
 from cognitivedrone.tasks import BASE_FAMILIES
 
@@ -72,15 +71,6 @@ def test_families_of_unlike_size_have_their_share() -> None:
     families = {index: "letters" if index % 3 else "digits" for index in range(600)}
     val = draw_splits("ab" * 32, families)["val"]
     assert [sum(families[index] == name for index in val) for name in ("letters", "digits")] == [20, 10]
-
-
-def test_the_split_of_an_old_small_set_is_known_again() -> None:
-    families = {index: BASE_FAMILIES[index % 10] for index in range(24)}
-    output: dict[str, Any] = {"train": 14, "val": threshold_indices("ab" * 32, families)}
-    assert len(output["val"]) == 10
-    assert splits_again(output, "ab" * 32, families) == output
-    new = draw_splits("ab" * 32, families)
-    assert splits_again(new, "ab" * 32, families) == new != output
 
 
 @given(st.dictionaries(st.integers(0, 10_000), FAMILY_NAMES, max_size=60), st.text("0123456789abcdef", min_size=4))

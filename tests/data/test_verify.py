@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made_stores import age, files_of, seal, writer_at
+from made_stores import files_of, seal, writer_at
 
 from cognitivedrone.data.store import Store
 from cognitivedrone.data.verify import Problem, verify
@@ -146,16 +146,6 @@ def test_a_damaged_manifest(store):
     assert verify(store) == [Problem("manifest.json", "is damaged: it is not JSON")]
     (store / "manifest.json").unlink()
     assert verify(store) == [Problem("manifest.json", "is missing")]
-
-
-def test_a_store_of_the_first_releases_is_sound_and_is_sealed_when_it_is_resumed(store):
-    new = files_of(store)
-    assert verify(age(store)) == []
-    assert len(Store.open(store)) == 40
-    writer = writer_at(store, resume=True)
-    assert writer.missing_shards(5) == []
-    writer.finish(5)
-    assert files_of(store) == new
 
 
 FILES = ("manifest.json", "statistics.json", "tasks.json", "SHA256SUMS", SHARD, "shards/shard-00002.json")

@@ -268,15 +268,6 @@ def test_a_row_for_a_shipped_thing_replaces_its_cells(tmp_path: Path) -> None:
     assert "food/pizza" not in claim("healthy", "healthy").true
 
 
-def test_wordings_of_their_own_are_added(tmp_path: Path) -> None:
-    more = tmp_path / "words.csv"
-    more.write_text("property,value,head,noun,verb,gap,clause\nteam,red,,our heroes,wins,,\n", encoding="utf-8")
-    file = tmp_path / "facts.csv"
-    file.write_text("concept,team\nanna,red\nben,blue\n", encoding="utf-8")
-    (red,) = [c for c in knowledge.own_claims(file, MINE, more) if (c.property, c.value) == ("team", "red")]
-    assert {"our heroes", "wins", "the red one"} <= {phrase.text for phrase in red.phrases}
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [

@@ -106,7 +106,7 @@ def policy_file(tmp_path_factory: pytest.TempPathFactory, policy_checkpoint: Pat
     def make(folder: Path) -> None:
         encoder = policy_checkpoint.parent / FILE
         with small():
-            export(policy_checkpoint, folder / "model.onnx", encoder=encoder, scores={"open-v1:test": 0.5})
+            export(policy_checkpoint, folder / "model.onnx", encoder=encoder)
 
     return made_once(tmp_path_factory, "file", make) / "model.onnx"
 

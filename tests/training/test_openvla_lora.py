@@ -21,7 +21,6 @@ from openvla_files import write_checkpoint
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.runs.runner import run
 from cognitivedrone.cli import main
-from cognitivedrone.data.formats import export
 from cognitivedrone.data.statistics import spread
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import DataError, PolicyError, TrainingError
@@ -349,29 +348,6 @@ def test_every_epoch_shows_every_step_once_in_another_order() -> None:
     assert rows_of_step(numbers, 20, seed=1, step=0).tolist() == seen.tolist()
 
 
-def test_an_rlds_export_gives_the_same_samples_in_the_same_order(base: Path, flights: Path, tmp_path: Path) -> None:
-    export(Store(flights).labelled(), "rlds", tmp_path / "rlds")
-    stored, read = (FineTuning(base, data, Path("unused"), RECIPE) for data in (flights, tmp_path / "rlds"))
-    assert read.flights.statistics == stored.flights.statistics
-    np.testing.assert_array_equal(read.flights.val, stored.flights.val)
-    for step in (0, 3):
-        rows = [rows_of_step(config.flights.train, RECIPE.batch, seed=3, step=step) for config in (stored, read)]
-        plain = np.arange(RECIPE.batch) % 2 == 0
-        wanted, got = (_maker(config)(each, plain) for config, each in zip((stored, read), rows, strict=True))
-        assert wanted.keys() == got.keys()
-        for name, value in wanted.items():
-            assert torch.equal(value, got[name]), name
-    # A run that was begun with one does not go on with the other unnoticed.
-    assert stored.identity["data"] != read.identity["data"]
-    tasks, episodes = Store(flights).tasks(), Store(flights).episode_rows()
-    split = ({tasks[row].category for row in episodes[steps]} for steps in (stored.flights.train, stored.flights.val))
-    both = set.intersection(*split)
-    assert both
-    for category in both:
-        found = open_flights(tmp_path / "rlds", category), open_flights(flights, category)
-        np.testing.assert_array_equal(found[0].train, found[1].train)
-
-
 def test_splits_do_not_share_flights(flights: Path) -> None:
     found, rows = open_flights(flights), Store(flights).episode_rows()
     assert not set(rows[found.train]) & set(rows[found.val])
@@ -455,11 +431,6 @@ def nothing_is_loaded(monkeypatch: pytest.MonkeyPatch) -> None:
 class TestBeforeAnythingHeavyIsLoaded:
     def test_no_store(self, base: Path, tmp_path: Path) -> None:
         with pytest.raises(DataError, match="is not a data set: it has no manifest"):
-            fine_tune(FineTuning(base, tmp_path, tmp_path / "run"))
-
-    def test_an_rlds_data_set_of_others(self, base: Path, tmp_path: Path) -> None:
-        (tmp_path / "dataset_info.json").write_text('{"name": "bridge_orig"}')
-        with pytest.raises(DataError, match=r"is data set 'bridge_orig'; only exports of this package"):
             fine_tune(FineTuning(base, tmp_path, tmp_path / "run"))
 
     def test_no_flight_of_the_recipes_category(self, base: Path, flights: Path, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from typing import Any, Final
 import pyarrow as pa
 
 from cognitivedrone import files
-from cognitivedrone.data.episode import Encoding
+from cognitivedrone.data.episode import Conditions, Encoding
 from cognitivedrone.errors import DataError
 from cognitivedrone.files.schema import check_form
 from cognitivedrone.system import sync_folder
@@ -166,12 +166,12 @@ def states(text: str, key: str, value: object) -> bool:
 
 
 def making_recorded(receipt: Path) -> str | None:
-    """The hash of the manifest head in a receipt: "" if it has none, None if it is unreadable."""
+    """The hash of the manifest head in a receipt; None if it is unreadable."""
     try:
         content = read_json(receipt)
     except DataError:
         return None
-    return str(content.get("making", "")) if isinstance(content, dict) and "sha256" in content else None
+    return content.get("making") if isinstance(content, dict) else None
 
 
 def check_receipt(receipt: Any, where: str) -> None:
@@ -217,17 +217,6 @@ class _Manifest:
 
 
 @dataclass(frozen=True, slots=True)
-class _Conditions:
-    seed: int
-    airframe: str
-    look: str
-    start_position: tuple[float, float, float]
-    start_yaw: float
-    wind: tuple[float, float, float]
-    place: str = ""
-
-
-@dataclass(frozen=True, slots=True)
 class _TaskFacts:
     category: str
     family: str
@@ -239,7 +228,7 @@ class _EpisodeFacts:
     length: int
     suite: str
     encoding: Encoding
-    conditions: _Conditions
+    conditions: Conditions
     final_position: tuple[float, float, float]
     task: _TaskFacts
 
@@ -313,8 +302,8 @@ def check_format(path: Path, manifest: Any) -> None:
 
 
 def check_sum(path: Path, name: str) -> None:
-    """Raise `DataError` if a file of a store does not match its checksum; old stores have none."""
-    if (path / SUMS).exists() and read_sums(path).get(name) != sha256_of(path / name):
+    """Raise `DataError` if a file of a store does not match its checksum."""
+    if read_sums(path).get(name) != sha256_of(path / name):
         raise DataError(
             f"{path / name}: does not match its checksum in {SUMS}; one of them was altered, collect again with "
             "--resume to repair it"
@@ -336,7 +325,7 @@ def is_sound(path: Path, manifest: Any) -> bool:
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
         return False
     if manifest.get("complete") is False:
-        return manifest.get("making") in (None, making_of(head_of(manifest)))
+        return bool(manifest.get("making") == making_of(head_of(manifest)))
     try:
         check_sum(path, MANIFEST)
     except DataError:

@@ -53,14 +53,6 @@ def draw_splits(suite_digest: str, families: Mapping[int, str]) -> dict[str, Any
     return {"train": len(families) - len(val), "val": val, "rule": EXACT}
 
 
-def splits_again(splits: Mapping[str, Any], suite_digest: str, families: Mapping[int, str]) -> dict[str, Any]:
-    """Recomputed splits for a manifest, by its own rule: old small sets use the rule of large ones."""
-    if "rule" in splits:
-        return draw_splits(suite_digest, families)
-    val = threshold_indices(suite_digest, families)
-    return {"train": len(families) - len(val), "val": val}
-
-
 def threshold_indices(suite_digest: str, families: Mapping[int, str]) -> list[int]:
     """The episodes whose draw is below 5 %, in order: about 5 %, regardless of the other episodes.
 

@@ -17,14 +17,13 @@ a collection that dies at any moment is finished by writing the shards without a
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from threading import Lock
-from typing import Any, ClassVar, TypedDict
+from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,92 +49,6 @@ class Batch(TypedDict):
     directive: list[str]
 
 
-class Steps(ABC):
-    """The steps of a data set, numbered through all of it, episode after episode, by index. Shared between threads."""
-
-    path: Path
-    way_out: ClassVar[str]
-    """What mends a broken frame."""
-
-    _splits: list[Split]
-    _first_steps: NDArray[np.int64]
-    """Number of the first step of every episode, and of all steps at the end."""
-
-    @abstractmethod
-    def tasks(self) -> list[Task]:
-        """The tasks of all episodes, in order of index."""
-
-    @abstractmethod
-    def content_hash(self) -> str:
-        """The same for the same flights."""
-
-    @property
-    @abstractmethod
-    def _numbers(self) -> Numbers:
-        """What is kept in memory, some tens of bytes per step."""
-
-    @abstractmethod
-    def _encoded(self, rows: NDArray[np.int64], steps: NDArray[np.int64]) -> Iterator[tuple[bytes, str]]:
-        """The frames of steps of these episodes, and where each is, with the episode."""
-
-    @property
-    def n_steps(self) -> int:
-        """Number of steps."""
-        return int(self._first_steps[-1])
-
-    def episode_rows(self) -> NDArray[np.int64]:
-        """(n_steps,) the index in `tasks` of each step's episode."""
-        return np.repeat(np.arange(len(self._splits)), np.diff(self._first_steps))
-
-    def step_numbers(self, split: Split | None = None) -> NDArray[np.int64]:
-        """The step numbers of a split, or of all: the input of `steps`."""
-        if split not in (None, *SPLITS):
-            raise DataError(f"unknown split {split!r}; {did_you_mean(str(split), SPLITS)}")
-        wanted = np.array([split in (None, own) for own in self._splits], np.bool_)
-        return np.flatnonzero(wanted[self.episode_rows()]).astype(np.int64)
-
-    def actions(self, split: Split | None = None) -> NDArray[np.float32]:
-        """(N, 4) the labels of all steps of a split, or of all."""
-        return self._numbers.action[self.step_numbers(split)]
-
-    def steps(self, numbers: Sequence[int] | NDArray[np.integer[Any]], threads: int = 1) -> Batch:
-        """The steps with these numbers, 0 to `n_steps` - 1, in any order; `threads` threads decode their frames.
-
-        The first call reads all actions, states and instructions, and keeps them. Raises `DataError` for a number out
-        of range, and for a broken frame with file, episode and step.
-        """
-        wanted = np.asarray(numbers, np.int64)
-        if wanted.size and not 0 <= wanted.min() <= wanted.max() < self.n_steps:
-            raise DataError(f"{self.path}: a step number lies outside of 0 to {self.n_steps - 1}")
-        table = self._numbers
-        rows = np.searchsorted(self._first_steps, wanted, side="right") - 1
-        steps = wanted - self._first_steps[rows]
-        images = np.empty((len(wanted), IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
-        if threads > 1:
-            with ThreadPoolExecutor(threads) as pool:
-                # list() raises the threads' errors
-                list(pool.map(self._decode_into, images, self._encoded(rows, steps), steps.tolist()))
-        else:
-            list(map(self._decode_into, images, self._encoded(rows, steps), steps.tolist()))
-        return Batch(
-            image=images,
-            state=table.state[wanted],
-            action=table.action[wanted],
-            instruction=[table.instructions[row] for row in rows],
-            directive=[table.directives[row] for row in rows],
-        )
-
-    def _decode_into(self, image: Image, frame: tuple[bytes, str], step: int) -> None:
-        data, where = frame
-        try:
-            decoded = decode_image(data)
-            if decoded.shape != image.shape:
-                raise ValueError(f"it is {decoded.shape[1]}x{decoded.shape[0]}, not {IMAGE_SIZE}x{IMAGE_SIZE}")
-            image[:] = decoded
-        except (OSError, ValueError, SyntaxError) as error:  # Pillow reports broken PNG chunks as SyntaxError
-            raise DataError(f"{where}, step {step}, is broken ({error}); {self.way_out}") from None
-
-
 @dataclass(frozen=True, slots=True)
 class Numbers:
     """The arrays that `steps` keeps in memory; rows of episodes are in order of index."""
@@ -146,10 +59,11 @@ class Numbers:
     directives: list[str]
 
 
-class Store(Steps):
-    """A finished store, opened for reading. Can be pickled; frames are read under a lock and decoded outside it."""
+class Store:
+    """A finished store, opened for reading. Can be pickled; frames are read under a lock and decoded outside it.
 
-    way_out = "collect the shard again with --resume"
+    Its steps are numbered through all of it, episode after episode, by index.
+    """
 
     def __init__(self, path: Path | str) -> None:
         """Open `path`. Raises `DataError` for anything but a complete, finished store of this version."""
@@ -166,7 +80,7 @@ class Store(Steps):
         """The number of every episode's shard, in order of index."""
         self._first_steps = np.cumsum([0, *(homes[index][1] for index in self._shard_of)])
         val = frozenset(self.manifest["splits"]["val"])
-        self._splits = ["val" if index in val else "train" for index in self._shard_of]
+        self._splits: list[Split] = ["val" if index in val else "train" for index in self._shard_of]
 
     @classmethod
     def open(cls, path: Path | str) -> Store:
@@ -248,6 +162,65 @@ class Store(Steps):
             for facts, rows in shard.rows():
                 parts[facts["index"]] = {name: column[rows] for name, column in columns.items()}
         return {name: np.concatenate([parts[index][name] for index in self._shard_of]) for name in names}
+
+    @property
+    def n_steps(self) -> int:
+        """Number of steps."""
+        return int(self._first_steps[-1])
+
+    def episode_rows(self) -> NDArray[np.int64]:
+        """(n_steps,) the index in `tasks` of each step's episode."""
+        return np.repeat(np.arange(len(self._splits)), np.diff(self._first_steps))
+
+    def step_numbers(self, split: Split | None = None) -> NDArray[np.int64]:
+        """The step numbers of a split, or of all: the input of `steps`."""
+        if split not in (None, *SPLITS):
+            raise DataError(f"unknown split {split!r}; {did_you_mean(str(split), SPLITS)}")
+        wanted = np.array([split in (None, own) for own in self._splits], np.bool_)
+        return np.flatnonzero(wanted[self.episode_rows()]).astype(np.int64)
+
+    def actions(self, split: Split | None = None) -> NDArray[np.float32]:
+        """(N, 4) the labels of all steps of a split, or of all."""
+        return self._numbers.action[self.step_numbers(split)]
+
+    def steps(self, numbers: Sequence[int] | NDArray[np.integer[Any]], threads: int = 1) -> Batch:
+        """The steps with these numbers, 0 to `n_steps` - 1, in any order; `threads` threads decode their frames.
+
+        The first call reads all actions, states and instructions, and keeps them. Raises `DataError` for a number out
+        of range, and for a broken frame with file, episode and step.
+        """
+        wanted = np.asarray(numbers, np.int64)
+        if wanted.size and not 0 <= wanted.min() <= wanted.max() < self.n_steps:
+            raise DataError(f"{self.path}: a step number lies outside of 0 to {self.n_steps - 1}")
+        table = self._numbers
+        rows = np.searchsorted(self._first_steps, wanted, side="right") - 1
+        steps = wanted - self._first_steps[rows]
+        images = np.empty((len(wanted), IMAGE_SIZE, IMAGE_SIZE, 3), np.uint8)
+        if threads > 1:
+            with ThreadPoolExecutor(threads) as pool:
+                # list() raises the threads' errors
+                list(pool.map(self._decode_into, images, self._encoded(rows, steps), steps.tolist()))
+        else:
+            list(map(self._decode_into, images, self._encoded(rows, steps), steps.tolist()))
+        return Batch(
+            image=images,
+            state=table.state[wanted],
+            action=table.action[wanted],
+            instruction=[table.instructions[row] for row in rows],
+            directive=[table.directives[row] for row in rows],
+        )
+
+    def _decode_into(self, image: Image, frame: tuple[bytes, str], step: int) -> None:
+        data, where = frame
+        try:
+            decoded = decode_image(data)
+            if decoded.shape != image.shape:
+                raise ValueError(f"it is {decoded.shape[1]}x{decoded.shape[0]}, not {IMAGE_SIZE}x{IMAGE_SIZE}")
+            image[:] = decoded
+        except (OSError, ValueError, SyntaxError) as error:  # Pillow reports broken PNG chunks as SyntaxError
+            raise DataError(
+                f"{where}, step {step}, is broken ({error}); collect the shard again with --resume"
+            ) from None
 
     def content_hash(self) -> str:
         """Hash of the manifest, which holds the hashes of all shards: the same for the same flights."""

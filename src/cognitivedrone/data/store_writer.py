@@ -25,7 +25,6 @@ from cognitivedrone.data.manifest import (
     clear_errors,
     head_of,
     is_sound,
-    json_text,
     making_of,
     making_recorded,
     read_json,
@@ -150,7 +149,7 @@ class StoreWriter:
             )
 
     def _makings_recorded(self) -> set[str]:
-        """Hashes of the manifest heads in the receipts; "" for receipts without one."""
+        """Hashes of the manifest heads in the receipts."""
         recorded = (making_recorded(path) for path in (self.path / SHARDS).glob("shard-*.json"))
         return {making for making in recorded if making is not None}
 
@@ -188,12 +187,7 @@ class StoreWriter:
             receipt = _receipt_of(self.path, shard, digest)
         except (DataError, OSError):
             return None
-        text = receipt_text(receipt.facts(), self._making)
-        if recorded == json_text(receipt.facts()):  # of a release whose receipts lack the hash of the manifest head
-            write_text(path, text)
-        elif recorded != text:
-            return None
-        return receipt
+        return receipt if recorded == receipt_text(receipt.facts(), self._making) else None
 
     def write_shard(self, number: int, episodes: Sequence[Episode], dropped: Mapping[str, int]) -> None:
         """Store the episodes of shard `number`; `dropped` counts dropped flights by outcome.

@@ -29,7 +29,6 @@ from cognitivedrone.data.manifest import (
     check_format,
     check_manifest,
     head_of,
-    json_text,
     making_of,
     read_json,
     read_manifest,
@@ -40,7 +39,7 @@ from cognitivedrone.data.manifest import (
     sha256_of,
 )
 from cognitivedrone.data.shards import WIDTHS, ShardFile, flown_in, tasks_in
-from cognitivedrone.data.statistics import splits_again, statistics
+from cognitivedrone.data.statistics import draw_splits, statistics
 from cognitivedrone.errors import CognitiveDroneError, DataError
 from cognitivedrone.system import cores
 from cognitivedrone.tasks.format import read_tasks
@@ -143,29 +142,29 @@ def verify(path: Path | str) -> list[Problem]:
     sums, problems = _checksums(root)
     manifest = _manifest(root, sums, hash_of)
     if isinstance(manifest, Problem):
-        return [*problems, manifest, *_altered(sums or {}, hash_of, {MANIFEST})]
+        return [*problems, manifest, *_altered(sums, hash_of, {MANIFEST})]
     try:
-        problems += [*_shard_problems(root, manifest, hash_of), *_receipt_problems(root, manifest, sums)]
+        problems += [*_shard_problems(root, manifest, hash_of), *_receipt_problems(root, manifest)]
         problems += [*_stray_files(root, manifest), *_episode_problems(manifest)]
-        problems += _sum_problems(manifest, sums or {}, hash_of, problems)
+        problems += _sum_problems(manifest, sums, hash_of, problems)
         return problems or list(_derived_problems(root, manifest))
     except (LookupError, TypeError, AttributeError, ValueError, ArithmeticError) as error:
         return [Problem(MANIFEST, f"is damaged (no usable {error})")]
 
 
-def _checksums(root: Path) -> tuple[dict[str, str] | None, list[Problem]]:
-    """Hashes by file, None for an old store; and their faults."""
+def _checksums(root: Path) -> tuple[dict[str, str], list[Problem]]:
+    """Hashes by file, and their faults."""
     if not (root / SUMS).exists():
-        return None, []
+        return {}, [Problem(SUMS, "is missing")]
     try:
         return read_sums(root), []
     except DataError:
         return {}, [Problem(SUMS, "is damaged")]
 
 
-def _manifest(root: Path, sums: Mapping[str, str] | None, hash_of: _Hashes) -> dict[str, Any] | Problem:
+def _manifest(root: Path, sums: Mapping[str, str], hash_of: _Hashes) -> dict[str, Any] | Problem:
     """The manifest, or its faults. Raises `DataError` if the folder is not a finished store."""
-    if sums is None and not (root / SHARDS).is_dir():
+    if not (root / SUMS).exists() and not (root / SHARDS).is_dir():
         return read_manifest(root)
     if hash_of(MANIFEST) is None:
         return Problem(MANIFEST, "is missing")
@@ -218,9 +217,8 @@ def _content_problems(file: Path, receipt: dict[str, Any]) -> Iterator[Problem]:
         yield Problem(receipt["file"], fault)
 
 
-def _receipt_problems(root: Path, manifest: dict[str, Any], sums: Mapping[str, str] | None) -> Iterator[Problem]:
+def _receipt_problems(root: Path, manifest: dict[str, Any]) -> Iterator[Problem]:
     making = making_of(head_of(manifest))
-    of_old = True
     for receipt in manifest["shards"]:
         file = root / receipt_name(receipt["file"])
         name = file.relative_to(root).as_posix()
@@ -232,13 +230,8 @@ def _receipt_problems(root: Path, manifest: dict[str, Any], sums: Mapping[str, s
         except DataError as error:
             yield Problem(name, str(error))
             continue
-        if sums is None and content == json_text(receipt):
-            continue
-        of_old = False
         if content != receipt_text(receipt, making):
             yield Problem(name, "is altered: it does not say what the manifest says")
-    if sums is None and not of_old:
-        yield Problem(SUMS, "is missing")
 
 
 def _stray_files(root: Path, manifest: dict[str, Any]) -> Iterator[Problem]:
@@ -293,7 +286,7 @@ def _derived_problems(root: Path, manifest: dict[str, Any]) -> Iterator[Problem]
     shards = [ShardFile(root / receipt["file"]) for receipt in manifest["shards"]]
     flown = flown_in(shards)
     families = {episode.index: episode.family for episode in flown}
-    if splits_again(manifest["splits"], manifest["suite"]["digest"], families) != manifest["splits"]:
+    if draw_splits(manifest["suite"]["digest"], families) != manifest["splits"]:
         yield Problem(MANIFEST, "its val split is not the one that suite and indices give")
     if sum(len(episode.action) for episode in flown) != manifest["steps"]:
         yield Problem(MANIFEST, f"counts {manifest['steps']} steps, but the shards hold another number")

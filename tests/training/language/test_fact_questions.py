@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import re
 from collections import Counter
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,11 +12,11 @@ import pytest
 
 from cognitivedrone.errors import LabelError, TaskError
 from cognitivedrone.tasks import knowledge
-from cognitivedrone.tasks.generate import TRAIN, Draw, Panel
+from cognitivedrone.tasks.generate import TRAIN, Draw
 from cognitivedrone.tasks.knowledge import Phrase
 from cognitivedrone.tasks.suites import train_task
 from cognitivedrone.training.language import fact_phrasing as say
-from cognitivedrone.training.language.fact_questions import FACTS, FactQuestions, Pair, Ways
+from cognitivedrone.training.language.fact_questions import FactQuestions, Pair, Ways
 from cognitivedrone.training.language.questions import ask
 from cognitivedrone.training.language.wordings import TYPED
 from cognitivedrone.types import Gate
@@ -133,35 +131,26 @@ def test_every_form_has_frames_of_its_own() -> None:
 # ---- beside the other questions
 
 
-def draws(seed: int, **more: FactQuestions) -> str:
+def draws(seed: int) -> str:
     digest = hashlib.sha256()
     rng = np.random.default_rng(seed)
     for index in range(300):
         task = train_task(index, seed=17)
         pools = TYPED if index % 2 else TRAIN
-        question = ask(rng, task.labels, task.board, task.gates, index % 3, None, pools, **more)
+        question = ask(rng, task.labels, task.board, task.gates, index % 3, None, pools)
         digest.update(repr(question).encode())
     return digest.hexdigest()
 
 
-def test_questions_without_facts_are_drawn_as_before() -> None:
+def test_questions_are_drawn_as_before() -> None:
     assert draws(9) == BEFORE
-    assert draws(9, facts=QUESTIONS) != BEFORE
 
 
 BEFORE = "aeb2316e1f4e6c0f2966cd4b19d8edb3edfd567db02498c6dddeee584a244edd"
 
 
-def test_facts_are_asked_where_they_are_passed() -> None:
-    rng = np.random.default_rng(1)
+def test_a_scene_of_another_form_is_refused() -> None:
     scene = labels("animal/owl", "animal/cow", "animal/shark")
-    families = Counter(ask(rng, scene, None, GATES, 0, facts=QUESTIONS).family for _ in range(300))
-    assert set(families) == {"animals", "association", FACTS}
-    assert min(families.values()) > 60
-    question = ask(rng, scene, None, GATES, 0, FACTS, facts=QUESTIONS)
-    assert (question.family, question.target) == (FACTS, 0)
-    with pytest.raises(TaskError, match="'facts' cannot ask for gate 1"):
-        ask(rng, scene, None, GATES, 0, FACTS)
     with pytest.raises(TaskError, match="the target is 0, 1 or 2"):
         QUESTIONS.ways(scene, 3)
     with pytest.raises(LabelError, match="kind/concept@style"):
@@ -176,16 +165,3 @@ def test_scenes_depend_on_the_generator_alone_and_vary() -> None:
     first = run()
     assert run() == first
     assert len(set(first)) > 280
-
-
-def test_a_user_s_facts_can_be_asked(tmp_path: Path) -> None:
-    file = tmp_path / "facts.csv"
-    file.write_text("concept,team\nanna,red\nben,blue\ncleo,blue\n", encoding="utf-8")
-    things = ["people/anna", "people/ben", "people/cleo"]
-    mine = FactQuestions([c for c in knowledge.own_claims(file, things) if c.property == "team"])
-    ways = mine.ways([f"{thing}@1" for thing in things], 0)
-    assert [mine.claims[i].value for i in ways.one] == ["red"]
-    assert [mine.claims[i].value for i in ways.no] == ["blue"]
-    panel = functools.partial(lambda _draw, thing: Panel(thing.partition("/")[2], f"{thing}@1"))
-    puzzle = mine.puzzle(Draw(np.random.default_rng(2), TRAIN, 1), panel)
-    assert puzzle.panels[1].option == "anna"

@@ -76,6 +76,4 @@ def test_depths_are_means_of_what_is_likely_if_anything_is_there() -> None:
 
 def test_it_is_a_recipe_that_starts_from_nothing() -> None:
     assert find_recipe("obstacles") is OBSTACLES
-    assert not OBSTACLES.needs_start
-    assert not find_recipe("debug-obstacles").needs_start
     assert replace(OBSTACLES, name="other").facts() != OBSTACLES.facts()

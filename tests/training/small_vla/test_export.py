@@ -68,7 +68,6 @@ def test_the_file_tells_its_origin(exported):
     assert type(network.config).of(dict(told.network)) == network.config
     assert told.provenance.recipe == "debug"
     assert told.provenance.steps == 6
-    assert told.provenance.scores == {"open-v1:test": 0.5}
     low, q01, q99, high = (np.array(getattr(told.action, name)) for name in ("low", "q01", "q99", "high"))
     assert (low <= q01).all()
     assert (q01 < q99).all()

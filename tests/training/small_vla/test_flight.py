@@ -52,5 +52,4 @@ def test_a_policy_without_its_text_encoder_is_not_trained_further(policy_checkpo
 
 def test_it_is_a_recipe_that_needs_a_policy() -> None:
     assert find_recipe("flight") is FLIGHT
-    assert FLIGHT.needs_start
     assert FLIGHT.stream.layouts > RECIPES["small"].stream.layouts

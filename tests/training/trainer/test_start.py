@@ -84,13 +84,6 @@ def test_a_checkpoint_of_another_kind_is_no_start(given, part, found, request: p
         read_start(path, part)
 
 
-def test_a_checkpoint_of_an_earlier_version_is_no_start(tmp_path: Path) -> None:
-    path = tmp_path / "checkpoint.safetensors"
-    save_checkpoint(path, torch.nn.Linear(2, 2), None, {"recipe": {"stream": {}}, "vocabulary": [], "step": 1})
-    with pytest.raises(TrainingError, match="of an earlier version of the networks; train it again"):
-        read_start(path, "policy")
-
-
 def test_a_lesson_is_no_start_but_the_folder_that_it_wrote(tmp_path: Path) -> None:
     path = tmp_path / "checkpoint.safetensors"
     facts = {"recipe": {"name": "teach", "mix": {}}, "attributes": [], "step": 1, "seed": 0}

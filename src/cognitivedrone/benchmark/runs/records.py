@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
-from cognitivedrone.benchmark.scores.codec import decode, dumps, encode, loads
+from cognitivedrone.benchmark.scores.codec import decode, dumps, encode
 from cognitivedrone.benchmark.scores.results import RunFacts, write_whole
 from cognitivedrone.benchmark.scores.run_types import Rollout, Trace, impossible
 from cognitivedrone.errors import RunError
@@ -214,7 +214,7 @@ def _holds_run(path: Path) -> bool:
 def _content_of(file: Path) -> Any:
     """The content of run.json; raises `RunError`."""
     try:
-        return loads(read_regular(file, MAX_RUN_BYTES).decode("utf-8"))
+        return parse_json(read_regular(file, MAX_RUN_BYTES).decode("utf-8"))
     except OSError as error:
         raise RunError(f"{file} cannot be read ({reason_of(error)}); give another --out, or --overwrite") from None
     except ValueError as error:

@@ -41,18 +41,10 @@ def dumps(value: Any, *, indent: int | None = None) -> str:
     return _SURROGATE.sub(lambda found: rf"\\u{ord(found.group()):04x}", text)
 
 
-def loads(text: str) -> Any:
-    """Parse JSON as strictly as `dumps` writes it: no name twice in an object, no NaN and no infinity.
-
-    Raises `ValueError`.
-    """
-    return parse_json(text)
-
-
 def read_document(path: Path, schema: str, kind: str, way_out: str, max_bytes: int) -> dict[str, Any]:
     """The JSON object of a file with this schema, without it. Raises `RunError` that names `kind` and the way out."""
     try:
-        document = loads(read_regular(path, max_bytes).decode("utf-8"))
+        document = parse_json(read_regular(path, max_bytes).decode("utf-8"))
     except OSError as error:
         raise RunError(f"{path} cannot be read ({reason_of(error)}); {way_out}") from None
     except ValueError as error:

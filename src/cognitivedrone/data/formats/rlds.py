@@ -15,7 +15,6 @@ import re
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -35,8 +34,6 @@ from cognitivedrone.data.formats.exchange import (
 )
 from cognitivedrone.data.formats.foreign import MISSING, Columns, foreign_episode
 from cognitivedrone.data.formats.tfrecord import (
-    FRAME_BYTES,
-    HEAD_BYTES,
     Feature,
     decode_example,
     encode_example,
@@ -85,21 +82,8 @@ def export(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
     return sum(sum(writer.lengths) for writer in writers.values())
 
 
-@dataclass(frozen=True, slots=True)
-class Record:
-    """One episode of an export, and its location."""
-
-    shard: Path
-    first_byte: int
-    """Offset of `payload` in the shard."""
-    payload: bytes
-    """A serialised `tf.train.Example`."""
-    split: Split
-    episode: Episode
-
-
 def read(path: Path, *, columns: str = "") -> Iterator[tuple[Split, Episode]]:
-    """The episodes of an export, train first; see `records`. Of other folders with shards, all that their records hold.
+    """The episodes of an export, train first. Of other folders with shards, all that their records hold.
 
     `columns` says which numbers of others' actions and states are ours (`foreign.Columns`). Raises `DataError` with the
     shard and record that cannot be read; a warning says what is missing.
@@ -108,12 +92,7 @@ def read(path: Path, *, columns: str = "") -> Iterator[tuple[Split, Episode]]:
     info = read_json(described) if described.exists() or described.is_symlink() else {"name": ""}
     if isinstance(info, dict) and info.get("name", NAME) != NAME:
         return _others(path, Columns.parse(columns))
-    return ((record.split, record.episode) for record in records(path))
-
-
-def is_rlds(path: Path) -> bool:
-    """Whether a folder is an RLDS data set, or contains one of ours; it may still be unreadable."""
-    return (_inner(path) / INFO).is_file()
+    return _ours(path)
 
 
 def _others(path: Path, columns: Columns) -> Iterator[tuple[Split, Episode]]:
@@ -172,12 +151,8 @@ def _foreign(features: dict[str, Any], number: int, columns: Columns, where: str
     )
 
 
-def records(path: Path) -> Iterator[Record]:
-    """The records of an export, train first; `path` is the folder given to `export` or the inner one.
-
-    Raises `DataError` with the file's name for a missing or truncated shard, and for third-party data sets, which lack
-    the tasks and conditions.
-    """
+def _ours(path: Path) -> Iterator[tuple[Split, Episode]]:
+    """The episodes of an export; `path` is the folder given to `export` or the inner one."""
     folder = _inner(path)
     info = read_json(folder / INFO)
     if not isinstance(info, dict) or info.get("name") != NAME:
@@ -187,10 +162,9 @@ def records(path: Path) -> Iterator[Record]:
         for number, length in enumerate(lengths):
             shard = folder / _shard_name(name, number, len(lengths))
             check_file(shard)
-            count, at = 0, HEAD_BYTES
+            count = 0
             for count, payload in enumerate(read_records(shard), 1):
-                yield Record(shard, at, payload, *_episode_of(payload, f"{shard}, record {count - 1}"))
-                at += len(payload) + FRAME_BYTES
+                yield _episode_of(payload, f"{shard}, record {count - 1}")
             if count != length:
                 raise DataError(f"{shard}: holds {count} of {length} episodes; copy or export it again")
 

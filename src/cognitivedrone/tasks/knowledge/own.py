@@ -22,7 +22,6 @@ from cognitivedrone.tasks.knowledge.wordings import (
     Phrase,
     Phrases,
     fill,
-    load_phrases,
     make_claims,
     phrases,
 )
@@ -50,18 +49,16 @@ _NO = (
 )
 
 
-def own_claims(path: Path, things: Iterable[str], wordings: Path | None = None) -> tuple[Claim, ...]:
+def own_claims(path: Path, things: Iterable[str]) -> tuple[Claim, ...]:
     """The shipped claims, extended by a user's file to their own things, and the claims of the user's own columns.
 
     `things` are the user's, as "kind/concept"; the file's column `concept` names them in full or, where that is
     unambiguous, by the concept alone. A thing without a row is unknown in everything. A row for a shipped thing
-    replaces that thing's cells in the columns given. `wordings` is a further file of phrases, laid out like the
-    shipped `phrases.csv`.
+    replaces that thing's cells in the columns given.
     Raises `TaskError` in one sentence for a malformed file, an unknown or repeated concept, and a value of a shipped
     property that is not in the table and has no phrases.
     """
     facts, worded = table(), phrases()
-    extra = load_phrases(wordings) if wordings is not None else None
     rows = read_rows(path, ("concept",), spelled=facts.properties)
     if not rows:
         raise TaskError(f"{path.name} has no rows; write one for each concept, below the line of the columns")
@@ -69,7 +66,7 @@ def own_claims(path: Path, things: Iterable[str], wordings: Path | None = None) 
     _check_columns(path, columns)
     own = tuple(name for name in columns if name not in facts.properties)
     entries = _entries(rows, tuple(dict.fromkeys(things)))
-    worded = _with(worded, extra, own, entries)
+    worded = _with(worded, own, entries)
     _check_values(rows, facts, worded)
     grown = _grown(facts, own, columns, entries)
     # A shipped row was written with the shipped values in mind: of new ones it says nothing.
@@ -113,17 +110,9 @@ def _plain(name: str) -> str:
     return "_".join(re.split(r"[\s_-]+", folded(name)))
 
 
-def _with(
-    worded: Phrases, extra: Phrases | None, own: tuple[str, ...], entries: Mapping[str, Mapping[str, Entry]]
-) -> Phrases:
-    """The phrases, with the user's and with default ones for the values of the user's own properties."""
-    exact, patterns, heads = dict(worded.exact), dict(worded.any), dict(worded.heads)
-    if extra is not None:
-        for key, texts in extra.exact.items():
-            exact[key] = tuple(dict.fromkeys((*exact.get(key, ()), *texts)))
-        for name, texts in extra.any.items():
-            patterns[name] = tuple(dict.fromkeys((*patterns.get(name, ()), *texts)))
-        heads |= extra.heads
+def _with(worded: Phrases, own: tuple[str, ...], entries: Mapping[str, Mapping[str, Entry]]) -> Phrases:
+    """The phrases, with default ones for the values of the user's own properties."""
+    exact = dict(worded.exact)
     found = {(name, value) for each in entries.values() for name in own for value in each.get(name, EMPTY).values}
     if len(found) > MAX_OWN_VALUES:
         raise TaskError(f"your columns have {len(found)} different values; at most {MAX_OWN_VALUES} are taught")
@@ -132,7 +121,7 @@ def _with(
         default = {"yes": _YES, "no": _NO}.get(value.casefold(), _DEFAULT)
         texts = tuple(Phrase(form, fill(text, value).replace("{name}", spoken)) for form, text in default)
         exact[name, value] = tuple(dict.fromkeys((*exact.get((name, value), ()), *texts)))
-    return Phrases(MappingProxyType(exact), MappingProxyType(patterns), MappingProxyType(heads))
+    return replace(worded, exact=MappingProxyType(exact))
 
 
 def _check_values(rows: list[Row], facts: Table, worded: Phrases) -> None:
@@ -165,4 +154,4 @@ def _used(worded: Phrases, facts: Table) -> Phrases:
     """The phrases of values that some thing has: a row of the user's may have replaced the only one."""
     values = {name: frozenset(facts.values(name)) for name in facts.properties}
     exact = {key: texts for key, texts in worded.exact.items() if key[1] in values.get(key[0], ())}
-    return Phrases(MappingProxyType(exact), worded.any, worded.heads)
+    return replace(worded, exact=MappingProxyType(exact))

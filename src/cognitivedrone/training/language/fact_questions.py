@@ -1,15 +1,14 @@
 """Questions from the table of facts: about one claim, its opposite, or two claims at once.
 
 A question is possible where exactly one of three panels is right: the claim clearly holds for it and clearly does not
-for the others. Nothing of this is drawn unless a caller of `questions.ask` passes a `FactQuestions`.
+for the others.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
 from cognitivedrone.errors import TaskError
 from cognitivedrone.references import parse_reference
@@ -25,8 +24,6 @@ SHARES = {"one": 0.6, "not": 0.15, "two": 0.25}
 SAME_KIND = 0.7
 """Share of scenes whose wrong panels are of the right one's kind, where there are enough of them."""
 
-Draws: TypeAlias = Callable[[Draw, str], Panel]
-"""Makes a panel of a thing."""
 _NONE: frozenset[int] = frozenset()
 
 
@@ -64,10 +61,10 @@ def panel_of(draw: Draw, thing: str) -> Panel:
 
 
 class FactQuestions:
-    """Questions from claims: the shipped ones, or those of a user (`knowledge.own_claims`)."""
+    """Questions from the shipped claims."""
 
-    def __init__(self, claims: Sequence[Claim] | None = None) -> None:
-        self.claims = tuple(knowledge.claims() if claims is None else claims)
+    def __init__(self) -> None:
+        self.claims = tuple(knowledge.claims())
         self._true: dict[str, frozenset[int]] = {}
         self._false: dict[str, frozenset[int]] = {}
         for known, side in ((self._true, "true"), (self._false, "false")):
@@ -150,8 +147,8 @@ class FactQuestions:
             return say.coloured(draw, head, other.value)
         return say.combined(draw, head, draw.pick(self._joins[pair.other]))
 
-    def puzzle(self, draw: Draw, panel: Draws = panel_of) -> Puzzle:
-        """A scene with a question about it. `panel` makes the panel of a thing; the user's things need their own."""
+    def puzzle(self, draw: Draw) -> Puzzle:
+        """A scene with a question about it."""
         while True:
             kind = draw.weighted(SHARES)
             things = self._scene_of_two(draw) if kind == "two" else self._scene_of_one(draw, deny=kind == "not")
@@ -163,7 +160,7 @@ class FactQuestions:
             )
             if not narrowed:
                 continue
-            right, *wrong = (panel(draw, thing) for thing in things)
+            right, *wrong = (panel_of(draw, thing) for thing in things)
             return draw.puzzle(self.sentence(draw, narrowed), right, wrong)
 
     def _scene_of_one(self, draw: Draw, *, deny: bool) -> tuple[str, str, str] | None:

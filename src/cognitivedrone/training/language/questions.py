@@ -25,8 +25,6 @@ from cognitivedrone.tasks.families import BASE_FAMILIES, human, reasoning, symbo
 from cognitivedrone.tasks.generate import TRAIN, Draw, Pools, Scene, article, words
 from cognitivedrone.tasks.people import CAST, FEATURES, IDENTITY, TRAIN_CAST, Person, seen
 from cognitivedrone.tasks.validate import check_gates
-from cognitivedrone.training.language.fact_questions import FACTS as FACTS_FAMILY
-from cognitivedrone.training.language.fact_questions import FactQuestions
 from cognitivedrone.training.perception.attributes import known_person, parse_sum
 from cognitivedrone.types import Gate
 
@@ -53,7 +51,7 @@ class Question:
     target: int
     """Index of the right gate, 0 to 2 from left to right."""
     family: str
-    """One of `tasks.BASE_FAMILIES`, "directive", or "facts"."""
+    """One of `tasks.BASE_FAMILIES`, or "directive"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -330,28 +328,22 @@ def ask(
     target: int,
     family: str | None = None,
     pools: Pools = TRAIN,
-    facts: FactQuestions | None = None,
 ) -> Question:
     """A question whose only right answer is the gate at `target`, in the suite's wordings or those of `pools`.
 
     Without a family, one of `families(...)` is drawn uniformly; if there are none, the question is a
     directive. Most directives ("directive") are `write_directive`'s; the rest (`FREE_DIRECTIVES`) begin differently,
-    change the order or omit what is not needed. With `facts`, the family "facts" is possible as well; without, no
-    draw depends on its table.
+    change the order or omit what is not needed.
     Raises `TaskError` for an unknown family or one that cannot ask for this gate, and for a malformed scene.
     """
     sayings = _sayings(labels, board, target)
     draw = Draw(rng, pools, target)
-    ways = facts.ways(labels, target) if facts is not None and family in (None, FACTS_FAMILY) else None
     if family is None:
-        possible = (*sayings, FACTS_FAMILY) if ways else tuple(sayings)
-        family = draw.pick(possible) if possible else DIRECTIVE
-    if family == FACTS_FAMILY and facts is not None and ways:
-        return Question(facts.sentence(draw, ways), target, family)
+        family = draw.pick(tuple(sayings)) if sayings else DIRECTIVE
     if family == DIRECTIVE:
         return Question(_directive(draw, gates), target, family)
     if family not in sayings:
-        if family not in (*BASE_FAMILIES, FACTS_FAMILY):
+        if family not in BASE_FAMILIES:
             raise TaskError(f"unknown family {family!r}; {did_you_mean(family, (*BASE_FAMILIES, DIRECTIVE))}")
         raise TaskError(
             f"family {family!r} cannot ask for gate {target + 1} of {', '.join(labels)}; "

@@ -54,8 +54,6 @@ class TextRecipe(Recipe):
     mix: TextMix = field(default_factory=TextMix)
     validation_sentences: int = 2000
 
-    needs_start: ClassVar[bool] = True
-
 
 class TextLoss(nn.Module):
     """A network that understands sentences, with its loss."""

@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from cognitivedrone.data.episode import Split
-from cognitivedrone.data.formats.rlds import is_rlds
-from cognitivedrone.data.formats.rlds_steps import RldsSteps
 from cognitivedrone.data.statistics import spread
-from cognitivedrone.data.store import Steps, Store
+from cognitivedrone.data.store import Store
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.openvla.actions import ActionStatistics, from_tokens, to_tokens
 from cognitivedrone.models.openvla.config import ACTION_SIZE, PADDING
@@ -40,7 +38,7 @@ class FlightSamples:
 
     identity: str
     """Its kind, and the hash of its content."""
-    steps: Steps
+    steps: Store
     train: Numbers
     """Numbers of the training steps; no episode has steps in both splits."""
     val: Numbers
@@ -49,13 +47,11 @@ class FlightSamples:
 
 
 def open_flights(folder: Path, category: Category | None = None) -> FlightSamples:
-    """The flights of a store or of an RLDS export, all or those of a category; same flights, same samples.
+    """The flights of a store, all or those of a category; same flights, same samples.
 
-    Raises `DataError` if there is neither, or a third-party RLDS data set, and `TrainingError` if a split has no
-    step.
+    Raises `DataError` if there is none, and `TrainingError` if a split has no step.
     """
-    exported = is_rlds(folder)
-    steps: Steps = RldsSteps(folder) if exported else Store(folder)
+    steps = Store(folder)
     train, val = (_steps_of(steps, split, category) for split in ("train", "val"))
     for name, numbers in (("train", train), ("val", val)):
         if not len(numbers):
@@ -63,11 +59,10 @@ def open_flights(folder: Path, category: Category | None = None) -> FlightSample
             raise TrainingError(f"{folder} has no step{which} in its {name} split; collect more flights{which}")
     quantiles = spread(steps.actions()[train])
     statistics = ActionStatistics(tuple(quantiles["q01"]), tuple(quantiles["q99"]))
-    identity = f"{'rlds' if exported else 'store'} {steps.content_hash()}"
-    return FlightSamples(identity, steps, train, val, statistics)
+    return FlightSamples(f"store {steps.content_hash()}", steps, train, val, statistics)
 
 
-def _steps_of(steps: Steps, split: Split, category: Category | None) -> Numbers:
+def _steps_of(steps: Store, split: Split, category: Category | None) -> Numbers:
     numbers = steps.step_numbers(split)
     if category is None:
         return numbers

@@ -83,7 +83,7 @@ class FineTuning:
     base: Path
     """Folder of the base checkpoint."""
     data: Path
-    """A store of flights, made by `collect` or `data import`, or an RLDS data set, made by `data export`."""
+    """A store of flights, made by `collect` or `data import`."""
     out: Path
     """Folder of the run."""
     recipe: LoraRecipe = PAPER

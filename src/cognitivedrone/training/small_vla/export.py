@@ -58,23 +58,16 @@ _STATISTICS_FRAMES = 2_000
 _STATISTICS_SEED = (0, 10**6 + 1)
 
 
-def export(
-    checkpoint: Path,
-    out: Path,
-    *,
-    data: Path | None = None,
-    encoder: Path | None = None,
-    scores: Mapping[str, Any] | None = None,
-) -> Description:
+def export(checkpoint: Path, out: Path, *, data: Path | None = None, encoder: Path | None = None) -> Description:
     """Write the network of a checkpoint as self-describing ONNX files, its head to `out`; returns their description.
 
     `data` is the training data set, if there was one; the text encoder in `encoder` is copied beside the file, if it is
-    not the packaged one; `scores` go into the file as they are. Raises `TrainingError` for a bad checkpoint.
+    not the packaged one. Raises `TrainingError` for a bad checkpoint.
     """
     network, start = load_trained(checkpoint)
     action = action_statistics(network, stream_of(start.facts), encoder, data)
     copy_encoder(encoder, out.parent)
-    return write_policy(network, start.facts["encoder"], action, provenance_of(start.facts, scores), out)
+    return write_policy(network, start.facts["encoder"], action, provenance_of(start.facts), out)
 
 
 def copy_encoder(encoder: Path | None, folder: Path) -> None:
@@ -127,7 +120,7 @@ def write_policy(
     return description
 
 
-def provenance_of(facts: Mapping[str, Any], scores: Mapping[str, Any] | None = None) -> Provenance:
+def provenance_of(facts: Mapping[str, Any]) -> Provenance:
     """The provenance of a network, from the facts of its checkpoint."""
     recipe = facts["recipe"]
     made = "made while training, sha256:" + hashlib.sha256(json.dumps(recipe, sort_keys=True).encode()).hexdigest()
@@ -137,7 +130,7 @@ def provenance_of(facts: Mapping[str, Any], scores: Mapping[str, Any] | None = N
         commit=checkout.commit() or "unknown",
         trained=datetime.now(UTC).isoformat(timespec="seconds"),
         steps=int(facts["step"]),
-        scores=dict(scores or {}),
+        scores={},
     )
 
 

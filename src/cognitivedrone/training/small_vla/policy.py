@@ -202,8 +202,6 @@ def trial(pilot: NetworkPilot, suite: str, count: int) -> Row:
 class FlightRecipe(TrainRecipe):
     """Everything that determines a training run on flying alone, except its start, processes and seed."""
 
-    needs_start: ClassVar[bool] = True
-
     def training(self, given: Given) -> FlightTraining:
         """The policy of a checkpoint or model file, which gives its network."""
         origin = read_start(given.start, "policy")

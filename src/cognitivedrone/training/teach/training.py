@@ -111,7 +111,6 @@ class TeachRecipe(Recipe):
     mix: TextMix = field(default_factory=TextMix)
     validation_problems: int = 600
 
-    needs_start: ClassVar[bool] = True
     needs_labels: ClassVar[bool] = True
 
     def training(self, given: Given) -> TeachTraining:

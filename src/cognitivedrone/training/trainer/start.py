@@ -100,8 +100,6 @@ def read_start(path: Path | None, part: Part) -> StartingPoint:
         facts = _facts_of_model(path)
         return StartingPoint(path, "policy", f"from {path.name}, {facts['origin']}", facts)
     facts = read_checkpoint(path)[1]
-    if "attributes" not in facts or "vocabulary" in facts:
-        raise TrainingError(f"{path}: the checkpoint is of an earlier version of the networks; train it again")
     check_form(_Facts, facts, f"{path}: ", TrainingError)
     found = _part_of(facts["recipe"])
     if found != part and part not in _HAS.get(found, ()):

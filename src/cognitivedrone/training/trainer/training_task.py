@@ -91,8 +91,6 @@ class Recipe(Schedule, ABC):
 
     model_file: ClassVar[str] = "model.onnx"
     """What is written at the end."""
-    needs_start: ClassVar[bool] = False
-    """Whether it starts from trained weights; by default the packaged ones."""
     takes_data: ClassVar[bool] = False
     """Whether it can learn from a data set."""
     needs_labels: ClassVar[bool] = False
