@@ -102,6 +102,13 @@ def test_pytorch_with_cuda_is_left_out_where_there_is_no_gpu(setup, monkeypatch,
     assert ("make test TORCH=1" in capsys.readouterr().out) != installs
 
 
+def test_the_version_that_is_asked_about_is_the_one_of_the_extra(setup):
+    import tomllib
+
+    message = tomllib.loads((FILE.parents[1] / "pyproject.toml").read_text())
+    assert setup.TORCH in message["project"]["optional-dependencies"]["dev-torch"]
+
+
 def test_what_dev_brought_along_is_not_installed_again(setup, ran, tmp_path):
     setup.install(["docs"])
     assert [command[-1] for command, _ in ran if "pip" in command] == [".[docs]"]
