@@ -33,7 +33,6 @@ from cognitivedrone.system.interrupts import until_asked
 from cognitivedrone.types import Event, EventKind, Guidance, Observation
 from cognitivedrone.vehicles import check_vehicle
 from cognitivedrone.vehicles.camera import open_camera
-from cognitivedrone.vehicles.mavlink.client.transport import open_log
 
 ACTION = np.array([1.25, -0.5, 0.25, 0.4], dtype=np.float32)
 
@@ -264,24 +263,6 @@ def test_the_login_of_a_camera_is_not_in_the_log(tmp_path):
     assert pq.read_table(tmp_path / "f" / "events.parquet")["text"].to_pylist() == [
         "cannot read rtsp://***@10.0.0.5/live"
     ]
-
-
-def test_a_flight_is_not_logged_through_links(tmp_path):
-    theirs = tmp_path / "theirs"
-    theirs.write_text("precious")
-    out = tmp_path / "f"
-    out.mkdir()
-    names = ("camera.mp4", "steps.parquet", "events.parquet", "flight.tlog")
-    for name in names:
-        (out / name).symlink_to(theirs)
-    log = FlightLog(out, {})
-    log.step(step(0.0))
-    (out / "flight.json").unlink()
-    (out / "flight.json").symlink_to(theirs)
-    log.close()
-    open_log(out / "flight.tlog").close()
-    assert theirs.read_text() == "precious"
-    assert not [name for name in (*names, "flight.json") if (out / name).is_symlink()]
 
 
 def test_the_film_can_be_seen_where_the_flight_was_cut_short(tmp_path):

@@ -84,11 +84,6 @@ def test_where_a_whole_kind_is_refused_another_is_shown(words):
     assert kinds.count(kinds[task.target or 0]) == 1
 
 
-def test_only_one_gate_shows_what_is_asked_for_of_a_whole_kind():
-    task, _, _ = made("any letter")
-    assert [label.startswith("letter/") for label in task.labels].count(True) == 1
-
-
 def test_a_gate_is_placed_and_looks_as_asked():
     task, _, shown = made("the big blue round one pls")
     gate = task.gates[task.target]

@@ -260,14 +260,6 @@ def test_a_pilot_that_flies_differently_the_second_time_is_reported(config):
     assert "the pilot is not deterministic" not in (config.out / "report.html").read_text()
 
 
-def test_a_page_of_tracks_draws_every_stage(config):
-    run(config.changed(track=True, clips=4), progress=False, runner=RUNNER)
-    text = (config.out / "report.html").read_text()
-    Page(text)
-    assert "episodes completed" in text
-    assert "not reached" in text
-
-
 def test_clips_show_failures_of_every_kind_then_passes_of_every_family(flown):
     results = [one.result for one in flown]
     chosen = choose_clips(results, 12)

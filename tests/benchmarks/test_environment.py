@@ -50,16 +50,6 @@ def short(monkeypatch):
     monkeypatch.setattr(environment, "time", SimpleNamespace(perf_counter=lambda: float(next(clock))))
 
 
-def find(monkeypatch, package: ModuleType | None) -> None:
-    """Let the benchmark find this package as its peer."""
-    finder = SimpleNamespace(util=SimpleNamespace(find_spec=lambda name: package))
-    monkeypatch.setattr(environment, "importlib", finder)
-
-
-def ratios(text: str) -> list[float]:
-    return [float(number) for number in re.findall(r"([\d.]+) x gym-pybullet-drones", text)]
-
-
 def test_where_the_peer_is_installed_both_fly_in_one_go(short, monkeypatch, capsys):
     package, envs, enums = (ModuleType("gym_pybullet_drones" + end) for end in ("", ".envs", ".utils.enums"))
     envs.HoverAviary = SlowAviary
@@ -67,7 +57,8 @@ def test_where_the_peer_is_installed_both_fly_in_one_go(short, monkeypatch, caps
     enums.ObservationType = SimpleNamespace(RGB="rgb")
     for module in (package, envs, ModuleType("gym_pybullet_drones.utils"), enums):
         monkeypatch.setitem(sys.modules, module.__name__, module)
-    find(monkeypatch, package)
+    finder = SimpleNamespace(util=SimpleNamespace(find_spec=lambda name: package))
+    monkeypatch.setattr(environment, "importlib", finder)
     monkeypatch.setattr(SlowAviary, "made", [])
     environment.main([])
     printed = capsys.readouterr().out
@@ -75,27 +66,7 @@ def test_where_the_peer_is_installed_both_fly_in_one_go(short, monkeypatch, caps
     assert theirs.options["obs"] == "rgb"
     assert theirs.steps == 1 + 2 * environment.STEPS  # one to look at the frame, one round to warm up, one measured
     # By this clock every call takes the same time, so worlds are what is counted.
-    assert ratios(printed) == [1.0, 4.0, 16.0, 16.0, 16.0]  # the last two past obstacles
+    ratios = [float(number) for number in re.findall(r"([\d.]+) x gym-pybullet-drones", printed)]
+    assert ratios == [1.0, 4.0, 16.0, 16.0, 16.0]  # the last two past obstacles
     assert "flown here, turn by turn" in printed
     assert environment.PEER_MEASURED not in printed
-
-
-def test_where_it_is_not_the_ratio_is_to_a_dated_figure(short, monkeypatch, capsys):
-    find(monkeypatch, None)
-    monkeypatch.setattr(environment, "single", lambda: lambda: None)
-    monkeypatch.setattr(environment, "vector", lambda worlds, **_: lambda: None)
-    monkeypatch.setattr(environment, "crowded", lambda count: None)
-    monkeypatch.setattr(environment, "reset_seconds", lambda: 0.0)
-    environment.main([])
-    printed = capsys.readouterr().out
-    steps = environment.STEPS
-    expected = [worlds * steps / environment.PEER_STEPS_S for worlds in (1, 4, 16, 16, 16)]
-    assert ratios(printed) == pytest.approx(expected, abs=0.06)
-    assert re.search(rf"44 control steps/s +not installed here; measured {environment.PEER_MEASURED}", printed)
-
-
-def test_flying_and_drawing_are_told_apart(short):
-    made = environment.parts(2)
-    assert made["what"] == "parts of a vector of 2"
-    # By this clock every call takes the same time.
-    assert made["flying_ms"] == made["drawing_ms"] == 1e3 / environment.STEPS

@@ -14,10 +14,7 @@ import harnesses
 from harness_flights import Flight, compared, flight
 from harnesses import Part
 
-SCRIPT = Path(harnesses.__file__)
 PASSED = {"outcome": "passed", "time_s": 6.1, "path_m": 7.25, "chosen": 2}
-THERE = Part(("json",), "pip install json", lambda folder: iter(()))
-GONE = Part(("json", "no_such_module"), "pip install such", lambda folder: iter(()))
 
 
 def test_flights_are_equal_to_the_last_bit_or_not_at_all() -> None:
@@ -39,7 +36,7 @@ def test_a_run_keeps_what_it_measured_and_ends_with_an_error_where_flights_diffe
     def rows(folder: Path):
         yield {"what": "flown", "flights": 2, "equal": 1}
 
-    monkeypatch.setattr(harnesses, "PARTS", {"vla-eval": Part(("json",), "", rows), "lerobot": GONE})
+    monkeypatch.setattr(harnesses, "PARTS", {"vla-eval": Part(("json",), "", rows)})
     monkeypatch.setattr(harnesses, "chosen", lambda only: ["vla-eval"])
     monkeypatch.setattr(sys, "argv", ["harnesses.py", "--out", str(tmp_path / "harnesses.json")])
     with pytest.raises(SystemExit, match="not equal: flown"):

@@ -41,10 +41,3 @@ def test_what_differs_is_counted():
         "flights": 2,
         "otherwise": 1,
     }
-
-
-def test_a_renderer_that_is_not_there_says_so_itself(tmp_path, capsys):
-    out = tmp_path / "difference.json"
-    rendering_difference.main(["--rounds", "1", "--episodes", "0", "--choices", "vulkan", "cpu", "--out", str(out)])
-    assert "not measured: COGNITIVEDRONE_RENDERER=vulkan is no renderer" in capsys.readouterr().out
-    assert not out.exists()

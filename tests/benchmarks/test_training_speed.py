@@ -18,7 +18,6 @@ import training_speed
 from quick_trainings import SMALL_SELECTOR, TINY_READER, InProcess, make_small
 
 from cognitivedrone.benchmark.measurements import read_measurement
-from cognitivedrone.errors import TrainingError
 from cognitivedrone.training.recipes import ALL_RECIPES, RECIPES
 from cognitivedrone.training.small_vla.language import DEBUG_LANGUAGE
 from cognitivedrone.training.teach.training import TEACH
@@ -78,14 +77,3 @@ def test_the_first_round_for_which_all_starts_is_left_out() -> None:
     assert found["waiting"] == pytest.approx((0.5 * 4 + 0.8 * 8) / 12)
     assert found["minutes"] == pytest.approx(2_000 / (32 / 12) / 60)
     assert training_speed.figures(ALL_RECIPES["reader"], rows[:1])["steps_per_s"] == pytest.approx(0.1)
-
-
-def test_a_recipe_that_fails_leaves_the_others(tmp_path: Path) -> None:
-    def pace(task, out, rounds, seconds):
-        if out.name == "reader":
-            raise TrainingError("the card's memory\nis full")
-        return [{"step": 2, "steps_per_s": 1.0, "waiting": 0.0}]
-
-    rows = [*training_speed.measured(["reader", "race"], tmp_path, 1, 1.0, pace)]
-    assert rows[0]["remarks"] == "not measured: the card's memory is full"
-    assert rows[1]["samples_per_s"] == 24

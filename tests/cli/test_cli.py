@@ -248,16 +248,6 @@ def test_view_draws_a_task_and_says_in_words_who_is_right(capsys, tmp_path):
     assert np.asarray(Image.open(tmp_path / "view.png")).std() > 20
 
 
-def test_a_suite_may_still_be_a_file(capsys, tmp_path, own_tasks):
-    for option in ("--tasks", "--suite"):
-        out = tmp_path / option[2:]
-        main(["bench", option, str(own_tasks), "--policy", "oracle", "--workers", "0", "--episodes", "1",
-              "--clips", "0", "--out", str(out)])  # fmt: skip
-        output = capsys.readouterr().out
-        assert "tasks of mine.json" in output
-        assert "the paper" not in output  # own tasks are not compared with it
-
-
 def test_a_suite_without_an_end_says_how_much_of_it_is_flown(capsys, tmp_path):
     assert how_many(Scenario(), None) == ""
     assert how_many(Scenario(suite="open-v1:train", tasks=tmp_path), None) == ""

@@ -91,11 +91,3 @@ def test_a_policy_without_an_opinion_keeps_nobody_from_declining(present):
     directive_filter = DirectiveFilter()
     directive_filter.policy_says(present)
     assert heard(directive_filter, *[(HOLD, 1.0)] * 3)[-1] == "adopted"
-
-
-def test_what_a_policy_says_of_a_directive_does_not_count():
-    directive_filter = DirectiveFilter()
-    directive_filter.policy_says(0.5)
-    assert heard(directive_filter, (RED, 0.3)) == ["adopted"]
-    directive_filter.policy_says(1.0)
-    assert heard(directive_filter, *[(HOLD, 1.0)] * 3) == ["kept", "kept", "adopted"]

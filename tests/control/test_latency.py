@@ -11,7 +11,6 @@ from cognitivedrone.control import latency
 from cognitivedrone.control.latency import TimedPolicy, parse_delays
 from cognitivedrone.errors import SimulationError
 from cognitivedrone.interfaces import Policy
-from cognitivedrone.policies.baselines import Hover
 from cognitivedrone.types import EpisodeContext
 
 
@@ -124,9 +123,3 @@ def test_a_measured_policy_is_called_as_ever_and_needs_what_it_needs(monkeypatch
     assert timed.took_s == [0.25, 0.25]
     timed.close()
     assert slow.told == ["check", EpisodeContext("go"), "close"]
-
-
-def test_a_measured_policy_needs_no_more_than_the_policy_in_it():
-    timed = TimedPolicy(Hover())
-    assert not timed.needs_ground_truth
-    assert not timed.needs_seed

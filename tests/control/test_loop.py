@@ -117,14 +117,6 @@ def test_the_reasoner_is_asked_twice_a_second_and_its_directive_replaces_the_ins
     assert notes.ages[:7] == [0.0, 0.1, 0.2, 0.3, 0.4, 0.0, 0.1]
 
 
-def test_another_directive_must_be_said_twice():
-    ground, policy, notes = Ground(), Counting(), Notes()
-    async_reasoner = SimulatedReasoner(Saying(RED, BLUE, BLUE))
-    fly(ground, policy, ground, for_steps(ground, 12), reasoner=async_reasoner, recorder=notes)
-    assert policy.texts == [RED] * 10 + [BLUE] * 2
-    assert [kind for _, kind, _ in notes.of("adopted", "kept", "agreed")] == ["adopted", "kept", "adopted"]
-
-
 def test_without_an_answer_the_last_good_directive_or_the_instruction_stays():
     ground, policy, notes = Ground(), Counting(), Notes()
     async_reasoner = SimulatedReasoner(Saying(None, RED, None))
@@ -165,12 +157,6 @@ def test_an_answer_about_an_earlier_segment_is_not_followed():
     fly(ground, policy, ground, mission, reasoner=async_reasoner, recorder=notes)
     assert policy.texts == ["first"] * 3 + ["second"] * 5 + [BLUE] * 2
     assert notes.of("stale", "asked")[:3] == [(0.0, "asked", "first"), (0.4, "stale", RED), (0.4, "asked", "second")]
-
-
-def test_thinking_is_charged_to_a_simulated_clock():
-    ground, policy = Ground(), Counting()
-    assert fly(ground, policy, ground, for_steps(ground, 10), latency_model=lambda _: 0.08) == 10
-    assert [time for time, _ in ground.sent] == pytest.approx([i / 10 + 0.08 for i in range(10)])
 
 
 def test_a_policy_slower_than_its_rate_skips_deadlines_and_keeps_the_others():

@@ -203,15 +203,8 @@ def test_the_letters_of_the_suites_are_in_the_space():
 
 WRAPPERS = {
     "DictInfoToList": wrappers.DictInfoToList,
-    "TransformObservation": lambda env: wrappers.TransformObservation(env, lambda seen: seen),
-    "FilterObservation": lambda env: wrappers.FilterObservation(env, ["image", "instruction"]),
     "FlattenObservation": wrappers.FlattenObservation,
-    "TransformAction": lambda env: wrappers.TransformAction(env, lambda action: action),
-    "ClipAction": wrappers.ClipAction,
     "RescaleAction": lambda env: wrappers.RescaleAction(env, cast(Any, np.float32(-1)), cast(Any, np.float32(1))),
-    "TransformReward": lambda env: wrappers.TransformReward(env, lambda reward: reward),
-    "ClipReward": lambda env: wrappers.ClipReward(env, 0, 1),
-    "NormalizeReward": wrappers.NormalizeReward,
     "RecordEpisodeStatistics": wrappers.RecordEpisodeStatistics,
 }
 """Gymnasium's for vector environments; the others need an observation that is one `Box`, a window or a library."""

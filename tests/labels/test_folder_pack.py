@@ -186,19 +186,6 @@ def test_what_is_named_like_an_image_and_is_none_is_refused_at_once(tmp_path, ki
     assert str(reported.value) == f"label image {odd} cannot be read: {says}; remove it from the folder"
 
 
-@pytest.mark.parametrize("kind", ["pipe", "device"])
-def test_a_file_that_is_exchanged_later_is_not_waited_for(tmp_path, kind):
-    path = save(tmp_path / "animal" / "cat.png")
-    pack = load_pack(str(tmp_path))
-    path.unlink()
-    if kind == "pipe":
-        os.mkfifo(path)
-    else:
-        path.symlink_to("/dev/zero")
-    with pytest.raises(LabelError, match=rf"cat\.png cannot be read: it is a {kind}"):
-        pack.image("animal/cat")
-
-
 @pytest.mark.parametrize(
     "evil", ["../../secret", "/etc/passwd", "..", "a\x00b", "secret.png", "x" * 1000, "../outside/secret", "..@.."]
 )

@@ -26,7 +26,7 @@ from cognitivedrone.layout import (
 )
 from cognitivedrone.sim.drawing.views import first_person_view
 from cognitivedrone.sim.gate_monitor import BOUNDS_HIGH, BOUNDS_LOW, REACH_M, judge
-from cognitivedrone.tasks import load_suite, train_task
+from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.format import task_from_json, task_to_json
 from cognitivedrone.types import COLORS, DroneState, Gate, GatePlace, Size, Stage
 from cognitivedrone.world import geometry
@@ -67,17 +67,6 @@ def test_a_layout_depends_on_its_seed_alone_and_stays_within_its_limits(case):
         assert abs(place.yaw - facing) <= TURNED_RAD + 0.001
         assert LOWEST_M[gate.size] <= place.height <= HIGHEST_M
         assert round(place.x, 2) == place.x
-
-
-def test_layouts_use_the_room_that_they_have():
-    places = np.array([[(p.x, p.y, p.height, p.yaw) for p in drawn(case)] for case in CASES])
-    aside = np.hypot(*np.moveaxis(places[..., :2] - GATE_XY, -1, 0))
-    assert aside.max() > 1.2
-    assert places[..., 2].min() < 0.8
-    assert places[..., 2].max() > 1.6
-    assert np.abs(places[..., 3] - GATE_YAWS).max() > 0.4
-    distances = np.hypot(places[..., 0] + 1.0, places[..., 1])
-    assert np.ptp(distances, axis=1).max() > 1.0
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -236,11 +225,3 @@ def test_a_layout_has_three_places():
     for layout in ({}, [], {"1": {}, "2": {}}):
         with pytest.raises(TaskError, match="layout must describe the places of gate 1, 2 and 3"):
             task_from_json(task_to_json(train_task(0)) | {"layout": layout}, where="here")
-
-
-def test_the_suite_has_300_layouts_that_differ():
-    tasks = [task for (task,) in load_suite("open-v2:layouts").tracks]
-    assert len({task.layout for task in tasks}) == len(tasks) == 300
-    for task in tasks:
-        assert is_clear(task.layout, board=task.board is not None)
-    assert all(task.layout is None for (task,) in load_suite("open-v2:test").tracks)

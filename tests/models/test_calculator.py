@@ -22,24 +22,15 @@ from cognitivedrone.tasks.suites import drawn_task, train_task
         ("Go through the gate with seven times two", 14),
         ("the answer to 12 − 5", 7),
         ("the answer to 3 × 4", 12),
-        ("3x5", 15),
         ("Add 3 and 4, then take away 2, and fly through the gate with the number you get", 5),
         ("Subtract 4 from 12, then multiply the result by 2, and fly on", 16),
-        ("Multiply 2 by five, then add 1, and fly", 11),
         ("Fly through the gate with the number seventeen", None),
-        ("Fly through the gate with the number 7", None),
         ("Find the animal with 4-legs", None),
         ("", None),
     ],
 )
 def test_what_a_sentence_asks(sentence, value):
     assert calculate(sentence) == value
-
-
-def test_more_or_less_than_the_board():
-    assert calculate("Fly through the gate with the number that is 3 more than the sum on the board", 9) == 12
-    assert calculate("Fly through the gate with the number that is 3 less than the sum on the board", 9) == 6
-    assert calculate("Fly through the gate with the number that is 3 more than the sum on the board") is None
 
 
 ONES = [
@@ -92,7 +83,6 @@ def test_nothing_but_arithmetic_is_evaluated(expression):
     [
         ("a third of twelve", 4),
         ("half of 8 pls", 4),
-        ("one half of twenty-eight", 14),
         ("two thirds of nine", 6),
         ("1/3 of 12", 4),
         ("¾ of 8", 6),
@@ -106,20 +96,16 @@ def test_nothing_but_arithmetic_is_evaluated(expression):
         ("two dozen minus 4", 20),
         ("a couple more than five", 7),
         ("seven times the sum of two and three", 35),
-        ("twice the sum of 3 and 4", 14),
-        ("3 more than 9", 12),
         ("one more than ten", 11),
         ("5 less than 12", 7),
         ("the difference between 4 and 9", 5),
         ("the product of 2, 3 and 4", 24),
         ("three squared", 9),
-        ("the square of 3", 9),
         ("2^3", 8),
         ("two³", 8),
         ("the square root of 16", 4),
         ("the square root of 15", None),
         ("what do you get if you take 4 from 9", 5),
-        ("take 4 away from 9", 5),
         ("9 take away 4", 5),
         ("start with 5, add 3, double it, then subtract 1", 15),
         ("3 + 4, times 2", 14),
@@ -166,6 +152,8 @@ def test_arithmetic_in_words(sentence, value):
     [
         ("twice the sum on the board", 18),
         ("solve the board, then add 3", 12),
+        ("Fly through the gate with the number that is 3 more than the sum on the board", 12),
+        ("Fly through the gate with the number that is 3 less than the sum on the board", 6),
         ("take 2 from the sum on the board", 7),
         ("the board minus 2", 7),
         ("take the sum on the board and take away 2", 7),

@@ -59,12 +59,6 @@ def test_what_means_nothing_is_taken_for_no_thing(model):
     assert "envelope" not in others
 
 
-@pytest.mark.parametrize("sentence", ["", "qwxz vrrk", "Лети к коале", "fly " * 250])
-def test_any_sentence_has_some_fit(concepts, sentence):
-    for fits, count in zip(concepts.fits(sentence), (4, 1000), strict=True):
-        assert (fits.shape, np.isfinite(fits).all()) == ((count,), True)
-
-
 def test_evidence_is_for_the_panel_that_shows_what_fits():
     shares = np.array([[0.8, 0.1, 0.1], [0.1, 0.8, 0.1], [1 / 3, 1 / 3, 1 / 3]], np.float32)
     told = evidence(shares, np.array([0.2, 0.6, 0.1], np.float32))

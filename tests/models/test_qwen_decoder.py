@@ -176,17 +176,6 @@ class TestEightBits:
             assert chosen(question(seed)) == generated(small, question(seed), 12, forms)
             assert chosen.passes == 2
 
-    def test_the_answers_are_near_those_of_whole_weights(self, model: Any, small: Any) -> None:
-        with torch.inference_mode():
-            exact, near = (
-                torch.cat([network(**question(seed)).logits[0, -1] for seed in range(8)]) for network in (model, small)
-            )
-        assert 0 < (near - exact).norm() / exact.norm() < 0.05
-        forms = Forms(ANSWERS)
-        decoders = [QwenDecoder(network, end=END, most=12, forms=forms) for network in (model, small)]
-        same = [decoders[0](question(seed)) == decoders[1](question(seed)) for seed in range(8)]
-        assert sum(same) >= 7
-
 
 def test_a_pass_is_one_function_of_tensors(model: Any) -> None:
     """What a GPU records as one graph must trace without a break; the eager backend runs what was traced."""

@@ -39,8 +39,3 @@ def test_a_batch_is_padded_with_nothing() -> None:
 def test_a_list_that_is_no_vocabulary_is_refused(pieces: tuple[str, ...]) -> None:
     with pytest.raises(ModelError, match="is no word-piece vocabulary"):
         SceneTokenizer(pieces)
-
-
-def test_a_vocabulary_that_is_known_is_not_prepared_again() -> None:
-    assert SceneTokenizer([*PIECES])._tokenizer is TOKENIZER._tokenizer
-    assert SceneTokenizer((*PIECES, "dog"))._tokenizer is not TOKENIZER._tokenizer

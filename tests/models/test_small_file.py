@@ -25,7 +25,6 @@ from tiny import (
 )
 
 from cognitivedrone.errors import MissingExtra, PolicyError
-from cognitivedrone.models import onnx_file
 from cognitivedrone.models.checksum import BLANK, seal
 from cognitivedrone.models.onnx_file import KEY
 from cognitivedrone.models.small_file import KIND, SmallModel, describe, read_description
@@ -163,24 +162,11 @@ def test_a_file_that_was_cut_short(tmp_path, tiny_model_file, kept):
         read_description(path)
 
 
-def test_a_file_of_another_kind(tmp_path):
-    path = tmp_path / "model.onnx"
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
-    assert "not an ONNX file" in refused(path)
-
-
 def test_an_operator_that_the_runtime_does_not_have(tmp_path):
     model = graph()
     model.graph.node[0].op_type = "Imagine"
     onnx.save(model, str(tmp_path / "model.onnx"))
     assert "cannot load" in refused(tmp_path / "model.onnx")
-
-
-def test_a_file_that_is_too_large_is_not_read(tmp_path):
-    path = tmp_path / "huge.onnx"
-    with path.open("wb") as file:
-        file.truncate(onnx_file.LARGEST_BYTES + 1)  # sparse: takes no space
-    assert "at most 256 MB" in refused(path)
 
 
 def test_a_file_that_does_not_describe_itself(tmp_path):

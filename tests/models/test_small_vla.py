@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from cognitivedrone.models.attributes import AttributeSchema
-from cognitivedrone.models.eyes.finder import CELLS, LOOK_GROUPS, LOOKS, SLOTS, STRIDE, Scene, crops, look_probabilities
+from cognitivedrone.models.eyes.finder import CELLS, LOOKS, SLOTS, STRIDE, Scene, crops
 from cognitivedrone.models.eyes.panel_reader import ReaderConfig
 from cognitivedrone.models.small_vla import Eyes, FlightHead, Head, SmallVLA, SmallVLAConfig
 from cognitivedrone.models.words.language import LanguageConfig
@@ -218,12 +218,6 @@ def test_the_reader_stays_as_it_was_trained() -> None:
     made.read(torch.rand(2, 3, 256, 256), torch.full((2, 4, 3), 30.0))
     for name, value in made.reader.state_dict().items():
         assert torch.equal(value, before[name]), name
-
-
-def test_looks_are_probabilities_of_colour_shape_and_size() -> None:
-    shares = look_probabilities(torch.randn(2, SLOTS, LOOKS))
-    for span in LOOK_GROUPS:
-        torch.testing.assert_close(shares[..., span].sum(-1), torch.ones(2, SLOTS))
 
 
 def test_bins_and_values_decode_to_the_ends_of_the_range() -> None:

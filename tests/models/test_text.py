@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from cognitivedrone.models.words.text import NUMBER_WORDS, words_of
+from cognitivedrone.models.words.text import words_of
 
 
 @pytest.mark.parametrize(
@@ -20,9 +20,3 @@ from cognitivedrone.models.words.text import NUMBER_WORDS, words_of
 )
 def test_a_sentence_is_parted_into_words(text, words):
     assert words_of(text) == words
-
-
-def test_numbers_have_words():
-    assert [NUMBER_WORDS[word] for word in ("zero", "twelve", "twenty", "thirty", "hundred")] == [
-        "0", "12", "20", "30", "100"
-    ]  # fmt: skip

@@ -230,17 +230,6 @@ def test_a_grey_profile_is_followed_also_with_16_bits_and_alpha():
         assert np.abs(read(encoded(image, icc_profile=profile("L"))) - 188).max() <= 1
 
 
-def test_srgb_stays_to_the_bit():
-    srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
-    image = Image.fromarray(COLOURS)
-    assert (read(encoded(image, icc_profile=srgb)) == COLOURS).all()
-    for extra in (
-        chunk(b"gAMA", struct.pack(">I", 45455)),
-        chunk(b"gAMA", struct.pack(">I", 100000)) + chunk(b"sRGB", b"\0"),
-    ):
-        assert (read(png(COLOURS, 8, 2, extra)) == COLOURS).all()
-
-
 def test_a_linear_png_is_brightened():
     assert np.abs(read(png(np.full((4, 4), 128), 8, 0, chunk(b"gAMA", struct.pack(">I", 100000)))) - 186).max() <= 1
 

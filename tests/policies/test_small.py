@@ -146,10 +146,6 @@ def test_a_name_with_a_wrong_argument_is_reported_in_one_sentence(name, says):
     assert "\n" not in str(error.value)
 
 
-def test_a_class_is_still_given_as_module_and_attribute():
-    assert type(make_policy("cognitivedrone.policies.baselines:Hover")).__name__ == "Hover"
-
-
 def test_a_package_without_weights_says_what_to_do(monkeypatch):
     monkeypatch.setattr(Small, "weights", "none")
     with pytest.raises(PolicyError, match=r"no model none: reinstall cognitivedrone, or train one"):
@@ -396,14 +392,6 @@ def test_every_command_of_a_chunk_flies_around_what_the_eye_sees(walled):
     assert (chunk != walled.last.action).any(axis=1).all()
     assert (np.linalg.norm(chunk[:, :3], axis=1) <= np.linalg.norm(walled.last.action[:, :3], axis=1) + 1e-6).all()
     assert np.array_equal(straight, walled.fork().act(BLACK))
-
-
-def test_obstacles_are_remembered_in_a_flight_and_in_no_other_one(walled):
-    walled.act(AHEAD)
-    assert len(walled._avoidance._points)
-    assert not len(walled.fork()._avoidance._points)
-    walled.reset(EpisodeContext(TEXT))
-    assert not len(walled._avoidance._points)
 
 
 def test_flights_at_once_fly_around_obstacles_as_each_alone(walled):

@@ -97,7 +97,6 @@ def test_an_answer_that_is_no_plan_is_asked_for_again(script, vlm):
     [
         (plan(), "the plan is empty"),
         ("no idea", "is not JSON"),
-        ("[]", "is not JSON"),
         ('{"goals": []}', "expected sub_goals"),
         ('{"sub_goals": "cat, dog"}', "expected sub_goals"),
         (plan(*[fly("Fly to the dog")] * 50), "has 50 sub-goals; at most 12"),
@@ -113,7 +112,6 @@ def test_an_answer_that_is_no_plan_is_asked_for_again(script, vlm):
         (plan({"do": "fly"}), "expected do, never_through"),
         (GOOD_PLAN[:60], "is not JSON"),
         ("[" * 3000, "is not JSON"),
-        ("{" * 3000 + "}", "is not JSON"),
     ],
 )
 def test_bad_plans_are_reported(script, vlm, reply, says):

@@ -131,11 +131,6 @@ def test_gates_are_told_from_left_to_right_whatever_slot_they_were_found_in(made
     assert guidance.present is None  # the confidence counts it
 
 
-def test_an_answer_counts_from_where_it_is_likelier_than_not(made):
-    parts = Scripted(reading_of(LETTERS), answer=(0.2, 0.51, 0.2, 0.09))
-    assert made(parts).refine(FRAME, "to the letter B").gate == 1
-
-
 @pytest.mark.parametrize(
     ("sentence", "answer"),
     [
@@ -215,11 +210,6 @@ def test_it_says_when_not_all_gates_are_found(made):
     with pytest.raises(ReasonerError, match="only 2 of 3 gates") as error:
         made(Scripted(reading_of(LETTERS, scores=(1, 1, 0.1)))).refine(FRAME, "go")
     assert error.value.kind == "unsure"
-
-
-def test_a_gate_is_named_by_what_is_likeliest():
-    for gate in GATES:
-        assert gate_of(0.9 * looks_of(gate) + 0.05) == gate
 
 
 def test_missing_files_are_said(tmp_path):

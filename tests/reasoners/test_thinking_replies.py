@@ -190,15 +190,6 @@ def test_a_server_without_one_of_the_fields_keeps_the_other(no_vlm_settings):
     assert sent == [(True, True), (False, True), (True, False), (True, False)]
 
 
-@pytest.mark.parametrize("text", [text for text, _, wanted in REPLIES.values() if wanted == "unfinished"])
-def test_a_cut_off_text_is_known_without_the_servers_word_where_its_end_shows_it(text):
-    try:
-        directive = read_reply(text).directive
-    except ReasonerError:
-        return
-    assert text.endswith(".") or text == ANSWER, directive
-
-
 @pytest.mark.parametrize("length", range(1, len(ANSWER)))
 def test_no_beginning_of_an_answer_steers(length):
     try:

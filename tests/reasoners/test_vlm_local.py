@@ -126,12 +126,6 @@ def test_the_image_reaches_the_model(reasoner):
     assert (logits[0] - logits[1]).abs().max() > 1e-5
 
 
-def test_there_is_a_place_in_the_text_for_every_part_of_the_image(reasoner):
-    inputs = reasoner.inputs(frame(0), "Fly to 7")
-    places = int((inputs["mm_token_type_ids"] == 1).sum())
-    assert places == int(inputs["image_grid_thw"].prod()) // 4 > 1
-
-
 def test_the_prompt_holds_the_instruction(reasoner):
     text = reasoner._tokenizer.decode(reasoner.inputs(frame(0), "Fly to the SNOW leopard")["input_ids"][0])
     assert "Fly to the SNOW leopard" in text

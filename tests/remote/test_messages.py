@@ -11,7 +11,6 @@ from cognitivedrone.errors import (
     MessageError,
     NonFiniteAction,
     PolicyError,
-    PolicyRaised,
     ReasonerError,
     ServerError,
 )
@@ -150,10 +149,6 @@ def test_a_certainty_that_is_no_share_is_none(strange):
     with pytest.raises(ReasonerError) as caught:
         raise_error(frame, "here")
     assert caught.value.certainty is None
-
-
-def test_an_exception_of_a_policys_own_is_a_policy_error():
-    assert code_of(PolicyRaised("it raised", "trace")) == "policy_error"
 
 
 STRANGE = [

@@ -45,34 +45,23 @@ def ran(setup, monkeypatch, capsys) -> list[tuple[list[str], str]]:
     return commands
 
 
-def user(monkeypatch, setup, uid: int, stdin: io.StringIO) -> None:
+@pytest.mark.parametrize(
+    ("uid", "stdin", "installs", "shown"),
+    [
+        (1000, Terminal(), False, f"sudo {LINE}"),
+        (0, io.StringIO(), True, f"Installing system-wide, for pictures: {LINE}"),
+        (0, Terminal("\n"), True, f"{LINE}\nInstall now? [Y/n]"),
+        (0, Terminal("n\n"), False, f"{LINE}\nInstall now? [Y/n]"),
+    ],
+)
+def test_system_packages_are_announced_to_root_asked_at_a_terminal_and_shown_to_others(
+    setup, ran, monkeypatch, capsys, uid, stdin, installs, shown
+):
     monkeypatch.setattr(setup.os, "geteuid", lambda: uid)
     monkeypatch.setattr(setup.sys, "stdin", stdin)
-
-
-def test_an_ordinary_user_is_shown_the_line_and_what_works_without_it(setup, ran, monkeypatch, capsys):
-    user(monkeypatch, setup, 1000, Terminal())
-    assert not setup.apt_install(["libegl1"], "pictures", "nothing can be seen")
-    assert ran == []
-    shown = capsys.readouterr().err
-    assert f"sudo {LINE}" in shown
-    assert "Without them nothing can be seen." in shown
-
-
-def test_root_without_a_terminal_is_reported_before_anything_is_installed(setup, ran, monkeypatch):
-    user(monkeypatch, setup, 0, io.StringIO())
-    assert setup.apt_install(["libegl1"], "pictures", "nothing can be seen")
-    assert [command for command, _ in ran] == [["apt-get", "update"], LINE.split()]
-    assert f"Installing system-wide, for pictures: {LINE}" in ran[0][1]
-
-
-@pytest.mark.parametrize(("answer", "installs"), [("\n", True), ("y\n", True), ("n\n", False), ("what?\n", False)])
-def test_root_at_a_terminal_is_asked(setup, ran, monkeypatch, capsys, answer, installs):
-    user(monkeypatch, setup, 0, Terminal(answer))
     assert setup.apt_install(["libegl1"], "pictures", "nothing can be seen") == installs
-    assert bool(ran) == installs
-    output = ran[0][1] if installs else capsys.readouterr().out
-    assert f"{LINE}\nInstall now? [Y/n]" in output
+    assert [command for command, _ in ran] == ([["apt-get", "update"], LINE.split()] if installs else [])
+    assert shown in (ran[0][1] if installs else "".join(capsys.readouterr()))
 
 
 def test_a_machine_without_venv_is_asked_for_all_that_it_will_need_at_once(setup, monkeypatch):
@@ -92,33 +81,25 @@ def report(*needs: str) -> SimpleNamespace:
     return SimpleNamespace(returncode=0, stdout=json.dumps(message))
 
 
-def offer(monkeypatch, setup, done: SimpleNamespace) -> None:
-    monkeypatch.setattr(setup.subprocess, "run", lambda *_, **__: done)
-
-
-def test_pytorch_with_cuda_is_left_out_where_there_is_no_gpu(setup, monkeypatch, capsys):
-    offer(monkeypatch, setup, report('nvidia-cudnn-cu13==9.20.0.48; platform_system == "Linux"'))
-    assert setup.with_torch(["dev"]) == ["dev"]
-    assert "make test TORCH=1" in capsys.readouterr().out
-
-
-def test_it_is_installed_where_it_is_asked_for_or_there_is_a_gpu(setup, monkeypatch):
-    offer(monkeypatch, setup, report("cuda-toolkit[cublas]==13.0.3"))
-    with monkeypatch.context() as asked:
-        asked.setenv("TORCH", "1")
-        assert setup.with_torch(["dev"]) == ["dev", "dev-torch"]
-    monkeypatch.setattr(setup.shutil, "which", lambda name: f"/usr/bin/{name}")
-    assert setup.with_torch(["dev"]) == ["dev", "dev-torch"]
-
-
 @pytest.mark.parametrize(
-    "done",
-    [report(), SimpleNamespace(returncode=0, stdout='{"install": []}'), SimpleNamespace(returncode=1, stdout="")],
-    ids=["a build for CPUs", "installed already", "pip will say what is wrong"],
+    ("done", "asked", "gpu", "installs"),
+    [
+        (report('nvidia-cudnn-cu13==9.20.0.48; platform_system == "Linux"'), None, False, False),
+        (report("cuda-toolkit[cublas]==13.0.3"), "1", False, True),
+        (report("cuda-toolkit[cublas]==13.0.3"), None, True, True),
+        (report(), None, False, True),  # a build for CPUs
+        (SimpleNamespace(returncode=0, stdout='{"install": []}'), None, False, True),  # installed already
+        (SimpleNamespace(returncode=1, stdout=""), None, False, True),  # pip will say what is wrong
+    ],
 )
-def test_it_is_installed_where_it_is_light(setup, monkeypatch, done):
-    offer(monkeypatch, setup, done)
-    assert setup.with_torch(["dev"]) == ["dev", "dev-torch"]
+def test_pytorch_with_cuda_is_left_out_where_there_is_no_gpu(setup, monkeypatch, capsys, done, asked, gpu, installs):
+    monkeypatch.setattr(setup.subprocess, "run", lambda *_, **__: done)
+    if asked:
+        monkeypatch.setenv("TORCH", asked)
+    if gpu:
+        monkeypatch.setattr(setup.shutil, "which", lambda name: f"/usr/bin/{name}")
+    assert setup.with_torch(["dev"]) == ["dev", *["dev-torch"] * installs]
+    assert ("make test TORCH=1" in capsys.readouterr().out) != installs
 
 
 def test_the_version_that_is_asked_about_is_the_one_of_the_extra(setup):

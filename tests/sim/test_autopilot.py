@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cognitivedrone.sim.airframe import AIRFRAMES, GRAVITY, RACER
-from cognitivedrone.sim.autopilot import trim
+from cognitivedrone.sim.airframe import AIRFRAMES
 from cognitivedrone.sim.responses import ARDUCOPTER, STEPS, OwnMotion, ResponseTrace, fly, measure
 
 RECORDS = Path(__file__).parents[2].parent / "shared" / "arducopter"
@@ -77,21 +76,3 @@ def test_a_turning_drone_slides_outwards(airframe: str) -> None:
     at = (trace.time > 3) & (trace.time < 5)
     # ArduCopter: 0.36 m/s, for a setpoint is turned to world axes when it arrives.
     assert trace.response[at, 1].mean() == pytest.approx(-0.36, abs=0.06)
-
-
-@both
-def test_both_airframes_answer_alike(airframe: str) -> None:
-    a, b = flown("forward 1 m/s", airframe), flown("forward 1 m/s", "iris")
-    assert np.abs(a.response - b.response).max() < 0.03
-
-
-def test_trim_balances_weight_and_drag() -> None:
-    still = trim(RACER, 0.0, np.zeros(3), np.zeros(3))
-    assert still.quaternion == (1.0, 0.0, 0.0, 0.0)
-    assert 4 * still.rotor_thrust == pytest.approx(RACER.mass * GRAVITY)
-    moving = trim(RACER, 0.0, np.array([3.0, 0.0, 0.0]), np.zeros(3))
-    drag = RACER.linear_drag * 3 + RACER.quadratic_drag * 9
-    assert moving.acceleration[0] * RACER.mass == pytest.approx(drag)
-    lean = 2 * math.asin(moving.quaternion[2])
-    assert 4 * moving.rotor_thrust * math.sin(lean) == pytest.approx(drag)
-    assert trim(RACER, 0.0, np.ones(3), np.ones(3)) == still

@@ -201,18 +201,6 @@ def test_a_picture_depends_on_nothing_but_its_own_slot_and_pose():
         np.testing.assert_array_equal(many.first_person(positions, quaternions, slots=[2] * 5), expected)
 
 
-def test_stages_leave_nothing_behind(cameras):
-    cameras.set_stage(0, STAGE, FLAGS)
-    before = see(cameras, START)
-    cameras.set_stage(1, OTHER, [GREY] * 3, flag(512, 128), varied_appearance(np.random.default_rng(1)))
-    cameras.set_stage(0, OTHER, [GREY] * 3, flag(512, 128), varied_appearance(np.random.default_rng(1)))
-    there = see(cameras, START)
-    np.testing.assert_array_equal(there, see(cameras, START, slot=1))
-    assert (there != before).mean() > 0.5
-    cameras.set_stage(0, STAGE, FLAGS)
-    np.testing.assert_array_equal(see(cameras, START), before)
-
-
 def test_pixel_noise_differs_from_frame_to_frame(cameras):
     appearance = varied_appearance(np.random.default_rng(3))
     assert appearance.noise > 1
@@ -239,15 +227,6 @@ def test_the_top_view_shows_the_drone_and_the_first_person_view_does_not(cameras
     assert top.shape == (300, 400, 3)
     assert orange(top) > 10
     np.testing.assert_array_equal(see(cameras, START), before)
-
-
-@pytest.mark.parametrize("size", [16, 64])
-def test_other_image_sizes(size):
-    with Cameras(1, size) as small:
-        small.set_stage(0, STAGE, FLAGS)
-        image = see(small, START)
-        assert image.shape == (size, size, 3)
-        assert (image[-1] == 255).all()
 
 
 def test_what_is_refused(cameras):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from cognitivedrone.errors import PolicyError
 from cognitivedrone.sim import simulator
-from cognitivedrone.sim.airframe import AIRFRAMES, IRIS, RACER
+from cognitivedrone.sim.airframe import AIRFRAMES, IRIS
 from cognitivedrone.sim.dynamics import BatchedFlight, threads_for
 
 CONTROL_TICKS = 40  # 10 Hz
@@ -209,8 +209,3 @@ def test_several_worlds_share_the_guidance_clock():
         BatchedFlight(2).advance(3)
     assert BatchedFlight(2).advance(40).shape == (2, 10, 3)
     assert BatchedFlight(1).advance(0).shape == (1, 0, 3)
-
-
-def test_airframes_can_hover_and_turn():
-    assert RACER.thrust_to_weight > IRIS.thrust_to_weight > 2
-    assert RACER.hull_radius == pytest.approx(0.13)

@@ -83,15 +83,6 @@ def test_no_opengl_is_one_sentence_with_its_own_error_and_the_line_to_type(fresh
     [
         ("MUJOCO_EGL_DEVICE_ID", "3", "must be an integer between 0 and"),
         ("LIBGL_DRIVERS_PATH", "/nowhere", "/nowhere"),
-        *(
-            pytest.param(*row, marks=pytest.mark.slow)
-            for row in (
-                ("MUJOCO_EGL_DEVICE_ID", "first", "invalid literal for int"),
-                ("PYOPENGL_PLATFORM", "osmesa", "Cannot use EGL rendering platform"),
-                ("__EGL_VENDOR_LIBRARY_FILENAMES", "/nowhere.json", "Cannot initialize a EGL device display"),
-                ("GALLIUM_DRIVER", "nonsense", "nonsense"),
-            )
-        ),
     ],
 )
 def test_a_variable_that_keeps_opengl_from_starting_is_named(fresh, variable, value, own_error):
@@ -108,7 +99,7 @@ def test_a_variable_that_keeps_opengl_from_starting_is_named(fresh, variable, va
     said = str(caught.value)
     assert said.startswith(f"OpenGL does not start with {variable}={value} (egl: ")
     assert "unset it, without it it starts here" in said
-    assert own_error in said or variable in ("LIBGL_DRIVERS_PATH", "GALLIUM_DRIVER")  # in the words of the driver
+    assert own_error in said or variable == "LIBGL_DRIVERS_PATH"  # in the words of the driver
     assert "install" not in said
     assert "\n" not in said
 

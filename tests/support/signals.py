@@ -6,7 +6,7 @@ from pathlib import Path
 
 from waiting import soon
 
-LIMIT_S = 60.0  # of a machine that is busy with other things
+LIMIT_S = 300.0  # ends a hang; a busy machine takes minutes to start a command
 
 
 def press(pid: int, number: int = signal.SIGINT) -> None:

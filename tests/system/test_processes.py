@@ -37,11 +37,6 @@ def poisoned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_python_itself_would_run_them(poisoned: Path) -> None:
-    subprocess.run([sys.executable, "-c", "import json"], check=False)
-    assert (poisoned / MARK).exists()
-
-
 def _import_mujoco() -> None:
     loaded = "import sys; sys.path.remove(''); import cognitivedrone.world.engine"
     subprocess.run([sys.executable, "-c", loaded], check=True)

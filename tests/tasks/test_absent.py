@@ -12,8 +12,8 @@ from cognitivedrone.collect.collector import Job, open_suite
 from cognitivedrone.collect.recipe import RECIPES
 from cognitivedrone.errors import DataError, TaskError
 from cognitivedrone.plan import TaskSource
-from cognitivedrone.tasks import BASE_FAMILIES, TEST_ONLY, load_suite, read_tasks, train_task, write_tasks
-from cognitivedrone.tasks.directives import HOLD, declines, fitting_gate, looks_asked, parse_directive
+from cognitivedrone.tasks import BASE_FAMILIES, read_tasks, train_task, write_tasks
+from cognitivedrone.tasks.directives import declines, fitting_gate, looks_asked, parse_directive
 from cognitivedrone.tasks.facts import FACTS, HEALTHY, UNHEALTHY
 from cognitivedrone.tasks.families.absent import _UNLIKE, KINDS, LOOKS, absent_puzzle
 from cognitivedrone.tasks.families.human import _BY_PHRASE
@@ -144,19 +144,6 @@ def test_other_kinds_of_panels_are_shown_in_some_tasks():
     for kind in _UNLIKE:
         kinds = Counter(shown(puzzle(kind, seed))[0][0] for seed in SEEDS)
         assert 0.1 < 1 - kinds.most_common(1)[0][1] / kinds.total() < 0.4
-
-
-def test_the_suite():
-    suite = load_suite("open-v2:absent")
-    tasks = [task for (task,) in suite.tracks]
-    assert len(tasks) == 200
-    assert {(task.target, task.family, task.category, task.directive) for task in tasks} == {
-        (None, "absent", "absent", HOLD)
-    }
-    assert suite.name in TEST_ONLY
-    assert sum(task.board is not None for task in tasks) == 18
-    styles = {label.rpartition("@")[2] for task in tasks for label in task.labels}
-    assert styles <= {*TRAIN.styles, *TRAIN.fonts, *TRAIN.backgrounds, "color"}
 
 
 def test_a_drawn_task_has_no_target_and_goes_through_a_file(tmp_path: Path):

@@ -1,7 +1,6 @@
 """Obstacles of tasks: the suite keeps its promises, files are read as written, and faults are said in one sentence."""
 
 import json
-from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -15,8 +14,6 @@ from cognitivedrone.tasks import load_suite, train_task
 from cognitivedrone.tasks.families.clutter import (
     CLEAR_M,
     KINDS,
-    MOVERS,
-    ROWS_M,
     SEEN,
     cluttered,
     crossed,
@@ -28,7 +25,6 @@ from cognitivedrone.tasks.families.clutter import (
 from cognitivedrone.tasks.format import task_from_json, task_to_json
 from cognitivedrone.world import geometry
 
-GATES = [task for (task,) in load_suite("open-v3:gates").tracks]
 MOVING = [task for (task,) in load_suite("open-v3:moving").tracks]
 TASKS = [task for (task,) in load_suite("open-v3:clutter").tracks]
 PLAIN = next(task for (task,) in load_suite("open-v1:test").tracks if task.board is None)
@@ -36,13 +32,6 @@ PILLAR = {"kind": "pillar", "x": 2.0, "y": 0.5, "width": 0.3, "height": 2.0}
 WALL = {"kind": "wall", "x": 2.5, "y": -1.0, "width": 1.5, "height": 1.0}
 BEAM = {"kind": "beam", "x": 2.5, "y": -1.0, "width": 1.5, "height": 0.1, "above": 1.2}
 MARK = {"label": "animal/cat@noto", "x": 3.0, "y": 2.2, "height": 2.0, "yaw": 0.4}
-
-
-def test_the_suite_has_all_kinds_and_counts():
-    assert {len(task.obstacles) for task in TASKS} == {*range(2, 9)}
-    assert {each.kind for task in TASKS for each in task.obstacles} == {"pillar", "wall", "beam", "frame"}
-    assert sum(task.landmark is not None for task in TASKS) > 50
-    assert 100 < sum(task.layout is not None for task in TASKS) < 170
 
 
 @pytest.mark.parametrize("task", TASKS[::20], ids=lambda task: task.id)
@@ -54,18 +43,6 @@ def test_something_is_in_the_way_but_there_is_a_way_and_the_panels_are_seen(task
     assert seen_share(solids_of(task.obstacles, task.landmark), task.layout) >= SEEN
 
 
-def test_in_every_stage_something_moves_and_the_gates_are_in_two_rows():
-    for task in MOVING:
-        first, *others = task.obstacles
-        assert first.sway > 0
-        assert not any(each.sway for each in others[1:])
-        depths = [place.x for place in task.layout]
-        assert max(depths) - min(depths) >= ROWS_M
-    assert {each.kind for task in MOVING for each in task.obstacles if each.sway} == set(MOVERS)
-    assert sum(task.obstacles[0].kind == "person" for task in MOVING) == len(MOVING) / 2
-    assert {len(task.obstacles) for task in MOVING} == {*range(1, 6)}
-
-
 @pytest.mark.parametrize("task", MOVING[::20], ids=lambda task: task.id)
 def test_wherever_the_moving_things_are_there_is_a_way_and_the_panels_are_seen(task):
     assert is_in_the_way(task)
@@ -73,14 +50,6 @@ def test_wherever_the_moving_things_are_there_is_a_way_and_the_panels_are_seen(t
     solids = solids_of(task.obstacles, task.landmark)
     for time in np.linspace(0.0, task.obstacles[0].period, 12):
         assert seen_share(solids.at(time), task.layout) >= SEEN
-
-
-def test_two_to_six_gates_are_as_frequent_and_the_right_one_is_always_there():
-    counts = Counter(3 - (task.missing is not None) + len(task.obstacles) for task in GATES)
-    assert counts == dict.fromkeys(range(2, 7), 18)
-    assert {each.kind for task in GATES for each in task.obstacles} == {"frame"}
-    assert all(task.missing != task.target for task in GATES)
-    assert Counter(task.missing for task in GATES)[None] == 43
 
 
 @pytest.mark.parametrize(("missing", "message"), [
@@ -147,10 +116,8 @@ def read(obstacles, landmark=None, **more):
         ([PILLAR] * 1000, "1000 obstacles are too many; leave 20 at most"),
         ([3], "obstacle 1 has the unknown kind 3"),
         ([PILLAR, {**PILLAR, "kind": "pilar"}], "obstacle 2 has the unknown kind 'pilar'; did you mean 'pillar'"),
-        ([{**PILLAR, "kind": ["pillar"]}], "unknown kind"),
         ([{**PILLAR, "yaw": 1.0}], "obstacle 1, a pillar, has the unknown key 'yaw'; it has x, y, width, height"),
         ([{**PILLAR, "x": "2"}], "obstacle 1, a pillar, has x '2'; give it a number"),
-        ([{**PILLAR, "x": True}], "has x True; give it a number"),
         ([{key: value for key, value in BEAM.items() if key != "above"}], "a beam, has above None; give it a number"),
         ([{**PILLAR, "width": -0.3}], "obstacle 1, a pillar, has width -0.3; make it 0.05 to 6"),
         ([{**PILLAR, "height": float("nan")}], "has height nan; make it"),

@@ -48,16 +48,6 @@ def test_an_unfit_character_is_told_with_file_index_field_and_fix(tmp_path, fiel
     assert str(told.value) == f"{path}[1]: {said} contains the {UNFIT[unfit]} at position 8; remove it"
 
 
-@pytest.mark.parametrize("unfit", UNFIT, ids=ascii)
-def test_words_of_gates_and_categories_are_among_the_known_ones(tmp_path, unfit):
-    gates = copy.deepcopy(TASK["gates"])
-    gates["2"]["color"] += unfit
-    for change in ({"gates": gates}, {"category": TASK["category"] + unfit}, {"task": {"d1": unfit, "operator": "+"}}):
-        with pytest.raises(TaskError, match=r"tasks\.json\[1\]: ") as told:
-            read_tasks(written(tmp_path, TASK | change))
-        assert str(told.value).isprintable()
-
-
 @pytest.mark.parametrize(
     "sum_", [("1", "+", "2@inter/../../x"), ("1", "+", "2@x\x1b"), ("١", "+", "2"), ("1/../", "+", "2")]
 )

@@ -34,6 +34,7 @@ def scene(*options, kind="animal", target=0):
         ("Fly through the big red gate with the dog", ("dog",)),
         ("I want you to fly through the gate with a letter A", ("letter", "A")),
         ("the animal that can fly", ("animal", "fly")),
+        ("the owl, go there", ("owl",)),
         ("Fly through the gate", ()),
     ],
 )
@@ -59,10 +60,6 @@ def test_the_panel_of_a_missing_gate_fits_nothing():
     task = scene("cat", "owl", "horse")
     assert match_task(asked_words("the owl"), replace(task, missing=1)) is None
     assert match_task(asked_words("the cat"), replace(task, missing=1)).gate == 0
-
-
-def test_where_no_panel_fits_there_is_no_match():
-    assert match_task(("bird",), scene("cat", "dog", "horse")) is None
 
 
 def test_a_dog_is_rather_a_dog_than_a_hot_dog():
@@ -94,10 +91,6 @@ def test_nothing_fits_what_is_shown_nowhere():
 def test_a_gate_named_by_its_look_is_found():
     index, match = best_scene("Fly through the red gate", TASKS, 0)
     assert TASKS[index].gates[match.gate].color == "red"
-
-
-def test_the_verb_go_names_nothing():
-    assert asked_words("the owl, go there") == ("owl",)
 
 
 def test_only_what_asks_the_same_may_be_judged():

@@ -65,10 +65,4 @@ def test_styles_of_training_and_packs_with_too_few_pictures():
 def test_the_committed_suite_is_what_the_pack_makes_and_shows_held_out_sets_alone():
     suite = load_suite(PICTURES)
     assert suite == pictures_suite(load_pack("open-v2"), STYLES)
-    assert suite.n_tasks == 300
     assert set(STYLES) <= set(HELD_OUT_PICTURE_SETS)
-    styles = Counter(task.labels[0].rpartition("@")[2].partition("~")[0] for (task,) in suite.tracks)
-    assert styles.keys() == set(STYLES)
-    assert max(styles.values()) - min(styles.values()) <= len(PICTURE_FAMILIES)
-    for (task,) in suite.tracks[:20]:
-        assert all(load_pack().image(label).shape == (256, 256, 3) for label in task.labels)

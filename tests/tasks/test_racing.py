@@ -8,8 +8,6 @@ import pytest
 
 from cognitivedrone.errors import TaskError
 from cognitivedrone.tasks import (
-    SUITES,
-    load_suite,
     race_task,
     task_from_json,
     task_to_json,
@@ -20,29 +18,6 @@ from cognitivedrone.tasks.families.racing import INSTRUCTIONS, crowded_task
 from cognitivedrone.types import COLORS, SHAPES, SIZES, Task
 
 STREAM = [race_task(i, seed=3) for i in range(1200)]
-
-
-def test_a_race_is_a_track_of_single_gates_under_one_sentence() -> None:
-    tracks = load_suite("open-v1:race").tracks
-    for track in tracks:
-        assert len({task.instruction for task in track}) == 1
-        assert {(task.category, task.family, task.only == task.target) for task in track} == {("racing", "race", True)}
-    assert Counter(track[0].instruction for track in tracks) == dict.fromkeys(INSTRUCTIONS, 5)
-
-
-def test_races_differ() -> None:
-    ways = [
-        tuple((task.target, task.gates[task.target]) for task in track) for track in load_suite("open-v1:race").tracks
-    ]
-    assert len(set(ways)) == len(ways)
-    assert len({tuple(target for target, _ in way) for way in ways}) > 15
-
-
-def test_only_races_have_gates_that_stand_alone() -> None:
-    for name in SUITES:
-        tasks = [task for track in load_suite(name).tracks for task in track]
-        assert {task.only is None for task in tasks} == {name != "open-v1:race"}
-        assert {"only" in task_to_json(task) for task in tasks} == {name == "open-v1:race"}
 
 
 def test_the_stream_is_drawn_from_index_and_seed_alone() -> None:

@@ -1,7 +1,6 @@
 """The committed suites: hashes, balance, and that they can be built again."""
 
 import json
-import re
 from collections import Counter
 from collections.abc import Iterable
 from importlib import resources
@@ -30,10 +29,7 @@ from cognitivedrone.tasks import (
 from cognitivedrone.tasks.build import build_suite, suite_text
 from cognitivedrone.tasks.generate import HELD_OUT, TRAIN
 from cognitivedrone.tasks.suites import AUTHORED, BUILT, FIXED, drawn_task
-from cognitivedrone.training.language import problems
 from cognitivedrone.types import CATEGORIES, COLORS, SHAPES, SIZES, Task
-
-WORDS = ("open-v2:words", "open-v3:words")
 
 
 def tasks_of(suite: Suite) -> list[Task]:
@@ -43,12 +39,6 @@ def tasks_of(suite: Suite) -> list[Task]:
 def spread(values: Iterable[object], known: Iterable[object]) -> int:
     counts = Counter(values)
     return max(counts[value] for value in known) - min(counts[value] for value in known)
-
-
-def test_lengths_of_tracks():
-    assert [len(track) for track in load_suite("open-v1:track").tracks] == [5] * 20
-    assert [len(track) for track in load_suite("open-v1:race").tracks] == [5] * 20
-    assert max(len(track) for track in load_suite("open-v1:hard").tracks) == 5
 
 
 CROWDED = ("open-v3:clutter", "open-v3:moving", "open-v3:gates")
@@ -76,12 +66,6 @@ def test_every_task_of_a_crowded_suite_gets_its_obstacles(name, monkeypatch):
     else:
         assert all(task.obstacles for task in tasks)
     assert all(task.obstacles[0].sway > 0 for task in tasks) == (name == "open-v3:moving")
-
-
-def test_all_gates_of_the_suite_move():
-    layouts = [task.layout for task in tasks_of(load_suite("open-v3:swaying"))]
-    assert all(place.sway > 0 for layout in layouts if layout for place in layout)
-    assert len(set(layouts)) == len(layouts)
 
 
 def test_the_command_writes_every_built_suite(tmp_path, monkeypatch, capsys):
@@ -117,26 +101,6 @@ def test_positions_colours_shapes_and_sizes_are_balanced(name):
         assert spread((gate.color for gate in gates), COLORS) <= 1
         assert spread((gate.shape for gate in gates), SHAPES) <= 1
         assert spread((gate.size for gate in gates), SIZES) <= 1
-
-
-@pytest.mark.parametrize(
-    "name", ["open-v1:test", "open-v1:unseen", "open-v1:hard", "open-v2:test", "open-v2:layouts", *WORDS]
-)
-def test_positions_are_balanced_in_every_family(name):
-    tasks = tasks_of(load_suite(name))
-    for family in {task.family for task in tasks}:
-        assert spread((task.target for task in tasks if task.family == family), range(3)) <= 1
-
-
-def test_shares_of_the_families():
-    test = Counter(task.family for task in tasks_of(load_suite("open-v1:test")))
-    assert test == {family: 50 if family in ("attributes", "people") else 25 for family in BASE_FAMILIES}
-    assert set(HARD_FAMILIES) == {task.family for task in tasks_of(load_suite("open-v1:hard"))}
-
-
-def test_memory_tasks_fly_on_tracks():
-    for track in load_suite("open-v1:hard").tracks:
-        assert (len(track) >= 3) == (track[0].family == "memory")
 
 
 def test_train_grows_to_any_size_and_each_task_stays_what_it_is():
@@ -180,58 +144,13 @@ def test_a_changed_suite_file_is_noticed(tmp_path, monkeypatch):
         load_suite("open-v1:smoke")
 
 
-# ---- words: typed by people, never trained on
-
-
-@pytest.mark.parametrize("name", WORDS)
-def test_words_has_a_hundred_tasks_a_category_of_every_family_of_single_tasks(name):
-    tasks = tasks_of(load_suite(name))
-    assert Counter(task.category for task in tasks) == dict.fromkeys(CATEGORIES, 100)
-    assert {task.family for task in tasks} == {*BASE_FAMILIES, *HARD_FAMILIES} - {"memory"}
-
-
-@pytest.mark.parametrize("name", AUTHORED)
-def test_sentences_are_short_printable_and_all_different(name):
-    sentences = [task.instruction for task in tasks_of(load_suite(name))]
-    assert len({problems.plain(text) for text in sentences}) == len(sentences)
-    for text in sentences:
-        assert 1 <= len(text) <= 200
-        assert text.isprintable()
-        assert text == text.strip()
-
-
-@pytest.mark.parametrize("name", WORDS)
-def test_words_shows_only_what_training_shows(name):
-    known = {*TRAIN.fonts, *TRAIN.styles, *TRAIN.backgrounds, "color"}
-    for task in tasks_of(load_suite(name)):
-        for reference in (*task.labels, task.board):
-            assert reference is None or reference.rpartition("@")[2] in known
-
-
-def test_later_words_are_longer_and_share_no_sentence_with_the_earlier():
-    earlier, later = ([problems.plain(t.instruction) for t in tasks_of(load_suite(name))] for name in WORDS)
-    assert not {*earlier} & {*later}
-    assert np.median([len(text.split()) for text in later]) >= 2 * np.median([len(text.split()) for text in earlier])
-
-
-def test_answers_of_sums_in_later_words_are_right():
-    boards = [task for task in tasks_of(load_suite("open-v3:words")) if task.family == "math_board"]
-    assert len(boards) == 14
-    for task in boards:
-        numbers = [int(option) for option in task.options]
-        a, operator, b = re.fullmatch(r"sum/(\d+)([-+*])(\d+)@.*", task.board).groups()
-        right = {"+": int(a) + int(b), "-": int(a) - int(b), "*": int(a) * int(b)}[operator]
-        assert numbers.index(right) == task.target
-
-
-@pytest.mark.parametrize("share", [8, pytest.param(1, marks=pytest.mark.slow)])
-def test_sentences_repeat_none_of_a_generator_or_of_another_suite(share):
+def test_sentences_typed_by_people_repeat_none_of_a_generator_or_of_another_suite():
     words = {plain(task.instruction) for name in AUTHORED for task in tasks_of(load_suite(name))}
     for name in BUILT:
         assert not words & {plain(task.instruction) for task in tasks_of(load_suite(name))}, name
-    assert not words & {plain(train_task(index).instruction) for index in range(0, 20_000, share)}
+    assert not words & {plain(train_task(index).instruction) for index in range(0, 20_000, 8)}
     families = [family for family in (*BASE_FAMILIES, *HARD_FAMILIES) if family != "memory"]
-    for index in range(6_000 // share):
+    for index in range(750):
         rng = np.random.default_rng([9, index])
         pools = HELD_OUT if index % 2 else TRAIN
         drawn = drawn_task(families[index // 2 % len(families)], rng, "?", pools)
@@ -253,16 +172,6 @@ def test_a_suite_of_each_version_is_suggested():
 def test_every_suite_says_what_it_tests():
     assert set(ABOUT) == set(SUITES)
     assert "recur" in ABOUT["open-v1:hard"]
-
-
-def test_test_is_drawn_anew_from_the_ingredients_of_training():
-    new, old = (tasks_of(load_suite(name)) for name in ("open-v2:test", "open-v1:test"))
-    assert Counter(task.family for task in new) == Counter(task.family for task in old)
-    assert not {(task.instruction, task.labels) for task in new} & {(task.instruction, task.labels) for task in old}
-    for name in ("open-v2:test", "open-v2:layouts", "open-v2:absent"):
-        known = {*TRAIN.fonts, *TRAIN.styles, *TRAIN.backgrounds, "color"}
-        shown = {reference for task in tasks_of(load_suite(name)) for reference in (*task.labels, task.board)}
-        assert all(reference is None or reference.rpartition("@")[2] in known for reference in shown)
 
 
 # ---- the user's own files

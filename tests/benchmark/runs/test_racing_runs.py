@@ -7,7 +7,6 @@ import pytest
 from benchmark_fakes import text_of
 
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.reports.drawing import episode_map
 from cognitivedrone.benchmark.reports.report import render_report
 from cognitivedrone.benchmark.reports.tables import results_table
 from cognitivedrone.benchmark.runs.records import read_records
@@ -48,14 +47,6 @@ def test_table_and_report_have_the_race_and_no_chance_of_guessing_right(flown):
             assert word not in text
     assert 'class="chance"' not in page
     assert "Beside the published scores" not in page
-
-
-def test_the_map_of_a_race_has_one_gate_a_stage(flown):
-    results, records = flown
-    drawn = episode_map(results.episodes[0], records[0].trace)
-    targets = [task.target for task in load_suite("open-v1:race").tracks[0]]
-    assert [gate.number - 1 for gate in drawn.gates] == targets
-    assert all(gate.is_target for gate in drawn.gates)
 
 
 def test_only_a_stage_with_a_gate_alone_says_so_in_its_record():

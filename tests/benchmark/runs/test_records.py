@@ -129,20 +129,6 @@ def test_nothing_is_written_through_a_link_in_the_folder(folder, facts, tmp_path
     assert other.read_text() == "precious"
 
 
-def test_a_pipe_in_the_folder_does_not_hang(folder, facts):
-    for name in (EPISODES_FILE, "run.json"):
-        kept = (folder / name).read_bytes()
-        (folder / name).unlink()
-        os.mkfifo(folder / name)
-        with pytest.raises(RunError, match=r"pipe|not a file"):
-            RunFolder(folder, facts, resume=True)
-        if name == EPISODES_FILE:
-            with pytest.raises(RunError, match="it is a pipe"):
-                read_records(folder)
-        (folder / name).unlink()
-        (folder / name).write_bytes(kept)
-
-
 @pytest.mark.parametrize("content", ["[" * 100_000, '{"suite": NaN}', '{"a": 1, "a": 2}', "\x00", "7"])
 def test_a_damaged_run_file_is_one_sentence(folder, facts, content):
     (folder / "run.json").write_text(content)
@@ -163,14 +149,6 @@ def test_records_with_another_name_elsewhere_are_not_changed_there(folder, facts
     with pytest.raises(RunError, match="a hard link"), RunFolder(folder, facts, **options):
         pass
     assert other.read_bytes() == before
-
-
-def test_endless_records_are_refused_by_their_size(folder, facts):
-    with (folder / EPISODES_FILE).open("r+b") as file:
-        file.truncate(2**40)  # sparse
-    for read in (lambda: read_records(folder), lambda: RunFolder(folder, facts, resume=True)):
-        with pytest.raises(RunError, match="1,099,511,627,776 bytes, and at most"):
-            read()
 
 
 def test_what_a_killed_run_left_does_not_keep_a_new_one_from_its_folder(tmp_path, facts):

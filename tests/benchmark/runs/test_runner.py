@@ -12,10 +12,10 @@ from benchmark_fakes import lasting
 
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.runs.records import read_records
-from cognitivedrone.benchmark.runs.runner import Interrupted, command_of, out_of, run
+from cognitivedrone.benchmark.runs.runner import Interrupted, out_of, run
 from cognitivedrone.errors import CognitiveDroneError, MissingExtra, RunError
-from cognitivedrone.tasks import load_suite, open_suite, write_tasks
-from cognitivedrone.tasks.suites import chain, suite_of
+from cognitivedrone.tasks import load_suite
+from cognitivedrone.tasks.suites import chain
 
 RUNNER = benchmark_fakes.FakeRunner
 
@@ -178,10 +178,6 @@ def test_an_error_of_ours_arrives_as_its_own_sentence(config, workers):
         run(config.changed(workers=workers), progress=False, runner=benchmark_fakes.UnlabelledRunner)
 
 
-def test_no_more_workers_than_episodes(config):
-    assert run(config.changed(episodes=1, workers=8), progress=False, runner=RUNNER).timing.workers == 1
-
-
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
@@ -216,15 +212,6 @@ def test_other_labels_are_another_run(config, tmp_path):
     (labels / "toy" / "cat.png").write_bytes(b"a dog")
     with pytest.raises(RunError, match=r"options\.labels is"):
         run(config.changed(labels=labels, resume=True), progress=False, runner=RUNNER)
-
-
-def test_another_wind_is_another_run(config):
-    windy = config.changed(wind=0.5)
-    assert run(windy, progress=False, runner=RUNNER).run.option("wind_m_s") == 0.5
-    assert "--wind 0.5" in command_of(windy)
-    assert "--wind" not in command_of(config)
-    with pytest.raises(RunError, match=r"options\.wind_m_s is 0\.5 there and 0\.0 here"):
-        run(config.changed(resume=True), progress=False, runner=RUNNER)
 
 
 def test_another_model_in_the_same_file_is_another_run(config, tmp_path):
@@ -267,15 +254,6 @@ def test_the_first_episodes_are_the_same_however_many_follow(config, tmp_path):
     run(config.changed(episodes=None), progress=False, runner=RUNNER)
     run(config.changed(episodes=3, out=tmp_path / "short"), progress=False, runner=RUNNER)
     assert lasting(config.out)["episodes"][:3] == lasting(tmp_path / "short")["episodes"]
-
-
-def test_tasks_of_a_file_are_flown(config, tmp_path):
-    tasks = [task for track in load_suite("open-v1:train", size=3).tracks for task in track]
-    write_tasks(tmp_path / "mine.json", tasks)
-    assert [t.instruction for (t,) in open_suite(str(tmp_path / "mine.json")).tracks] == [t.instruction for t in tasks]
-    given = config.changed(tasks=tmp_path / "mine.json", episodes=None)
-    assert suite_of(given.scenario).n_tasks == 3
-    assert run(given, progress=False, runner=RUNNER).summary().overall.n == 3
 
 
 def test_the_folder_is_named_after_suite_and_pilot():

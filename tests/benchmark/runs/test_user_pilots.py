@@ -11,7 +11,7 @@ from cognitivedrone import evaluate
 from cognitivedrone.benchmark.runs.runner import Interrupted
 from cognitivedrone.cli import main
 from cognitivedrone.control.calls import calling, check_chunk
-from cognitivedrone.errors import PolicyError, RunError
+from cognitivedrone.errors import PolicyError
 
 
 @pytest.mark.parametrize(
@@ -115,12 +115,6 @@ def test_a_policy_that_raises_in_its_reports_or_cannot_be_made_does_not_look_lik
     for workers in (0, 1):
         with pytest.raises(PolicyError, match="cannot be made: KeyboardInterrupt"):
             evaluate("user_pilots:CannotBeMade", episodes=1, workers=workers, progress=False)
-
-
-def test_fail_fast_stops_with_the_traceback(tmp_path):
-    with pytest.raises(RunError, match=r"episode 0: the policy raised RuntimeError.*traceback is in .*0000\.txt"):
-        evaluate("user_pilots:Faulty", episodes=2, workers=0, out=tmp_path / "run", fail_fast=True, progress=False)
-    assert "CUDA out of memory" in (tmp_path / "run" / "errors" / "episode-0000.txt").read_text()
 
 
 @pytest.mark.parametrize(("how", "fault"), [("text", "schema"), ("surrogate", "garbage"), ("raise", "raised")])

@@ -28,31 +28,12 @@ def test_the_numbers_are_the_papers():
     } == {name: (pytest.approx(overall), pytest.approx(parts)) for name, (overall, parts) in table.items()}
 
 
-def test_the_model_cards_rows_are_the_papers():
-    """The last column of the table of docs/small.md."""
-    page = (ROOT / "docs" / "small.md").read_text()
-    rows = {"overall": SYSTEMS["CognitiveDrone"].overall}
-    rows |= {name.replace("_", " "): rate for name, rate in SYSTEMS["CognitiveDrone"].categories.items()}
-    for name, rate in rows.items():
-        cells = [
-            cell.strip() for cell in re.search(rf"^\| {name} \|(.*)\|$", page, flags=re.MULTILINE).group(1).split("|")
-        ]
-        assert cells[-1] == f"{percent(rate)} %", name
-
-
 def test_the_page_of_r1_has_the_papers_numbers_in_the_order_of_its_sentence():
     page = (ROOT / "docs" / "r1.md").read_text().replace("\n", " ")
     order = ("human_recognition", "symbol_understanding", "reasoning")
     numbers = [percent(SYSTEMS["CognitiveDrone-R1"].categories[category]) for category in order]  # type: ignore[index]
     output = "{}, {} and {} %".format(*numbers)
     assert re.search(rf"The paper's R1 passes {output} of human recognition, symbol understanding and reasoning", page)
-
-
-@pytest.mark.parametrize("page", ["README.md", "docs/small.md"])
-def test_other_pages_name_the_overall_rates(page):
-    text = (ROOT / page).read_text()
-    assert f"{percent(SYSTEMS['RaceVLA'].overall)} %" in text
-    assert f"{percent(SYSTEMS['CognitiveDrone'].overall)} %" in text
 
 
 def test_only_shipped_suites_with_all_categories_are_compared(config):

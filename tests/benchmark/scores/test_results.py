@@ -22,11 +22,6 @@ def document(results, config):
     return json.loads((config.out / "results.json").read_text())
 
 
-def test_the_file_reads_back_as_it_was(results, config):
-    assert read_results(config.out) == results
-    assert read_results(config.out / "results.json") == results
-
-
 def test_the_file_holds_the_scores_of_both_rules(results, document):
     for rule in ("through", "within_1m"):
         overall = document["scores"][rule]["overall"]

@@ -125,15 +125,6 @@ def test_parts_add_up(flown):
         assert summary.overall.n == sum(s.outcome != "invalid" for episode in flown for s in episode.stages)
 
 
-@given(episodes(), st.randoms())
-def test_the_order_of_stages_does_not_matter(flown, random):
-    shuffled = [s for episode in flown for s in episode.stages]
-    ordered = score(shuffled)
-    random.shuffle(shuffled)
-    assert score(shuffled).passed == ordered.passed
-    assert score(shuffled).ci95 == ordered.ci95
-
-
 @given(st.integers(1, 2000), st.data())
 def test_wilson_is_that_of_scipy(n, data):
     passed = data.draw(st.integers(0, n))

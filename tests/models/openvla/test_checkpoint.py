@@ -15,7 +15,6 @@ from openvla_files import STATISTICS, write_tokenizer
 
 from cognitivedrone.errors import MissingExtra, PolicyError
 from cognitivedrone.models.openvla.checkpoint import (
-    GROUP,
     check_memory,
     free_memory,
     inspect,
@@ -63,10 +62,7 @@ HEADERS = [
     struct.pack("<Q", len(text)) + text
     for text in (
         b'{"a": []}',
-        b'{"a": {"dtype": "F32", "data_offsets": [0, 0]}}',
         b'{"a": {"dtype": "F32", "shape": [1], "data_offsets": [0]}}',
-        b'{"a": {"dtype": "F32", "shape": ["x"], "data_offsets": [0, 0]}}',
-        b'{"a": {"dtype": 7, "shape": [1], "data_offsets": [0, 0]}}',
         b'{"a": {"dtype": "F32", "shape": [1], "data_offsets": [0, 1e400]}}',
         b"[" * 2000 + b"]" * 2000,
     )
@@ -174,15 +170,6 @@ class TestLoading:
         error = (small(pixels) - exact(pixels)).float().norm() / exact(pixels).float().norm()
         assert 0 < error < 0.2
 
-    def test_torchao_knows_the_four_bits_that_are_asked_for(self, monkeypatch):
-        """As far as a machine without a GPU can tell: the real library takes the configuration."""
-        library = pytest.importorskip("torchao.quantization")
-        asked = []
-        monkeypatch.setattr(library, "quantize_", lambda layers, config, device: asked.append(config))
-        weights.quantise(torch.nn.Linear(128, 128), "int4", "cpu")
-        assert asked[0].group_size == GROUP
-        assert asked[0].int4_packing_format == "tile_packed_to_4d"
-
 
 class TestFaults:
     @pytest.mark.parametrize(
@@ -255,24 +242,15 @@ class TestFaults:
             ({"text_config": {"num_hidden_layers": 10**12}}, "num_hidden_layers is 1000000000000; it must be from 0"),
             ({"text_config": {"num_hidden_layers": 2000}}, "a part has 2000 layers; at most 1000 are read"),
             ({"text_config": {"hidden_size": "x"}}, "hidden_size must be a whole number, not 'x'"),
-            ({"text_config": {"hidden_size": True}}, "hidden_size must be a whole number, not True"),
             ({"cognitivedrone": {"towers": [TOWER]}}, "towers has 1 items; it must have 2"),
-            ({"cognitivedrone": {"towers": [TOWER, {**TOWER, "depth": 10**12}]}}, "depth is 1000000000000"),
-            ({"cognitivedrone": {"towers": [TOWER, {**TOWER, "width": [1]}]}}, "width must be a whole number"),
             ({"cognitivedrone": []}, "does not describe an OpenVLA"),
             ({"norm_stats": [1]}, "norm_stats is list; it must be an object"),
             ({"norm_stats": {"a": 7}}, "lack readable q01 and q99: must be an object"),
-            ({"norm_stats": {"a": {"action": {"q01": ["x"] * 4, "q99": [1] * 4}}}}, "must be a number, not 'x'"),
-            ({"norm_stats": {"a": {"action": {"q01": [0] * 4, "q99": [1] * 4, "mask": 7}}}}, "mask must be a list"),
             ({"text_config": None}, "does not describe an OpenVLA"),
             ({"text_config": {"num_attention_heads": 0}}, "does not describe an OpenVLA: ZeroDivisionError"),
             ({"cognitivedrone": {"chunk": "x"}}, "does not describe an OpenVLA: TypeError"),
             ({"cognitivedrone": {"chunk": 0}}, "chunk is 0; it is 1 to 100 actions"),
             ({"text_config": {"hidden_size": 33}}, "must be a whole number above 0"),
-            (
-                {"norm_stats": {"arm": {"action": {"q01": [0] * 7, "q99": [1] * 7}}}},
-                "7 numbers; a drone's action has 4",
-            ),
         ],
     )
     def test_a_configuration_of_something_else(self, folder, changes, says):

@@ -52,13 +52,6 @@ def test_the_cache_and_the_padding_change_no_word(network, seed):
     assert decode.tokens(pixels[0], ids).tolist() == uncached(network, pixels, ids)
 
 
-def test_the_words_depend_on_the_image_and_on_the_prompt(network):
-    decode = Autoregressive(network)
-    answers = {tuple(decode.tokens(some_pixels(seed)[0], IDS)) for seed in range(3)}
-    answers |= {tuple(decode.tokens(some_pixels(0)[0], [*IDS, extra])) for extra in (500, 900)}
-    assert len(answers) >= 4
-
-
 def test_a_step_is_one_function_of_tensors_without_a_look_at_a_value(network):
     # What a GPU records as one graph must trace without a break; the eager backend runs what was traced.
     step = torch.compile(
@@ -90,17 +83,6 @@ def test_prompts_of_several_lengths_are_decoded_together_as_each_alone(network):
     assert words.tolist() == [Autoregressive(network).tokens(pixels[0], IDS).tolist()]
 
 
-def test_padding_changes_no_chunk(network):
-    pixels = torch.from_numpy(some_pixels())
-    alone = network.chunk_actions(torch.tensor([IDS]), pixels)
-    ids = torch.tensor([[*IDS, 32_000, 32_000]])
-    padded = network.chunk_actions(ids, pixels, (ids != 32_000).long())
-    assert alone.shape == (1, 3, 4)
-    assert torch.allclose(alone, padded, atol=1e-5)
-    decoded = Parallel(network)(some_pixels()[0], IDS)
-    assert np.allclose(decoded, alone[0].clamp(-1, 1), atol=1e-5)
-
-
 def test_fused_products_answer_the_same_in_every_way(network):
     """Words and chunks, alone and together, with keys and values that several heads share, and with padding."""
     config = tiny_config(chunk=3)
@@ -113,12 +95,6 @@ def test_fused_products_answer_the_same_in_every_way(network):
         fuse(made.language_model.model.layers)
         for decode, answers in zip(decoders, wanted, strict=True):
             assert np.allclose(decode.together(pixels, prompts), answers, atol=1e-5)
-
-
-def test_every_number_of_a_chunk_sees_the_last_word_and_every_other_number(network):
-    pixels = torch.from_numpy(some_pixels())
-    first, other = (network.chunk_actions(torch.tensor([[*IDS[:-1], last]]), pixels) for last in (29_871, 500))
-    assert ((first - other).abs() > 1e-7).all()
 
 
 def test_a_network_without_a_head_has_no_chunks():
@@ -180,23 +156,6 @@ def test_checkpointing_changes_no_gradient(network):
         assert torch.allclose(found[name], value, rtol=1e-3, atol=1e-5), name
 
 
-def test_steps_downhill_learn_words_and_chunks():
-    network = random_network(tiny_config(chunk=2)).train()
-    ids, pixels, mask, labels = (part[:1] for part in batch())
-    optimizer = torch.optim.AdamW(network.parameters(), lr=1e-2)
-    wanted = torch.tensor([0.5, -0.5, 0.2, 0.0]).expand(1, 2, 4)
-    losses = []
-    for _ in range(3):
-        loss = network(ids, pixels, mask, labels).loss
-        distance = (network.chunk_actions(ids, pixels, mask) - wanted).abs().mean()
-        optimizer.zero_grad()
-        (loss + distance).backward()
-        optimizer.step()
-        losses.append((loss.item(), distance.item()))
-    assert losses[-1][0] < losses[0][0] - 0.3
-    assert losses[-1][1] < 0.8 * losses[0][1]
-
-
 class TestCompiledBlocks:
     """By the eager backend, which runs what was traced: what is compiled, not by what."""
 
@@ -228,17 +187,6 @@ class TestCompiledBlocks:
             assert decode.tokens(pixels, IDS).tolist() == wanted
             assert counters["stats"]["unique_graphs"] == graphs[-1]
         assert graphs == [4, 4]  # a block of each tower, a layer for the prompt, a layer for a word
-
-    def test_fused_products(self):
-        made = self.deep(2)
-        pixels = some_pixels(1)[0]
-        wanted = Autoregressive(made).tokens(pixels, IDS).tolist()
-        fuse(made.language_model.model.layers)
-        assert Autoregressive(made).tokens(pixels, IDS).tolist() == wanted
-        counters.clear()
-        compile_blocks(made, "eager")
-        assert Autoregressive(made).tokens(pixels, IDS).tolist() == wanted
-        assert counters["stats"]["unique_graphs"] == 4
 
     def test_int8(self):
         pytest.importorskip("torchao")

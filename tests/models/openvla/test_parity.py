@@ -11,7 +11,7 @@ from PIL import Image
 from cognitivedrone.models.openvla.actions import from_tokens
 from cognitivedrone.models.openvla.checkpoint import inspect
 from cognitivedrone.models.openvla.config import Config, tiny_config, write_config
-from cognitivedrone.models.openvla.prepare import ImagePreparation, prompt
+from cognitivedrone.models.openvla.prepare import ImagePreparation
 from cognitivedrone.models.openvla.tensors import own_name, published_name, unused_tensors, used_tensors
 
 torch = pytest.importorskip("torch")
@@ -85,24 +85,6 @@ def test_the_words_and_the_velocities_agree(golden, checkpoint, network):
     assert np.array_equal(checkpoint.statistics.flown(from_tokens(words)), golden["actions"])
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
-def test_fused_products_say_the_same_words(golden, checkpoint, dtype):
-    plain, fused = (load(checkpoint, "cpu", dtype, fused=fused) for fused in (False, True))
-    said = [
-        Autoregressive(network).tokens(golden["pixel_values"][0], golden["input_ids"][0].tolist()).tolist()
-        for network in (plain, fused)
-    ]
-    assert said[0] == said[1]
-    if dtype == torch.float32:
-        assert said[1] == golden["generated"].tolist()
-    names = {name.rpartition(".")[2] for name, _ in fused.named_modules() if name.endswith("_proj")}
-    assert names == {"qkv_proj", "o_proj", "gate_up_proj", "down_proj"}
-    with torch.no_grad():
-        ids, pixels = torch.from_numpy(golden["input_ids"]), torch.from_numpy(golden["pixel_values"])
-        exact, near = (network(ids, pixels).logits.float() for network in (plain, fused))
-    assert (near - exact).norm() / exact.norm() < (1e-5 if dtype == torch.float32 else 2e-2)
-
-
 def test_the_loss_agrees(golden, network, inputs):
     ids, labels = torch.from_numpy(golden["train_input_ids"]), torch.from_numpy(golden["train_labels"])
     with torch.no_grad():
@@ -125,9 +107,3 @@ def test_the_real_network_has_a_place_for_every_tensor_that_is_used():
     assert {value.device.type for value in network.state_dict().values()} == {"meta"}
     assert held == {own_name(name): shape for name, shape in used_tensors(Config()).items()}
     assert {published_name(name) for name in held} == set(used_tensors(Config()))
-
-
-def test_the_prompt_is_the_one_that_the_reference_tokenised(golden):
-    # 22 ids: begin, 20 pieces of the prompt, the lone space.
-    assert golden["input_ids"].shape == (1, 22)
-    assert prompt("Fly through the GATE") == "In: What action should the robot take to fly through the gate?\nOut:"
