@@ -50,17 +50,22 @@ def main(out: Path, results: Path, pages: Path | None = None) -> None:
     for path in sorted(results.glob("*.json")) if pages else []:
         shown = pages / path.name
         if shown.is_file() and weights_of(shown) - weights_of(path):
-            keep_former(shown, pages / f"{path.stem}_before.json")
+            keep_former(shown, pages / f"{path.stem}_before.json", path)
         shutil.copyfile(path, shown)
 
 
-def keep_former(shown: Path, before: Path) -> None:
-    """Add the runs that pages showed to those of before, in place of older ones of the same suite and options."""
-    document = json.loads(shown.read_text(encoding="utf-8"))
-    older = json.loads(before.read_text(encoding="utf-8"))["runs"] if before.is_file() else []
-    new = [flown_as(each) for each in document["runs"]]
-    document["runs"] += [each for each in older if flown_as(each) not in new]
-    before.write_text(json.dumps(document, ensure_ascii=False, separators=(",", ":")), encoding="utf-8")
+def keep_former(shown: Path, before: Path, new: Path) -> None:
+    """Of two files of former weights, keep the one with more runs that were not flown again."""
+    flown = [flown_as(run) for run in runs_in(new)]
+    left = [sum(flown_as(run) not in flown for run in runs_in(path)) for path in (shown, before)]
+    if left[0] >= left[1]:
+        shown.replace(before)
+
+
+def runs_in(path: Path) -> list[dict[str, Any]]:
+    """The runs of a submission; none of any other file, or where there is none."""
+    runs: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8")).get("runs", []) if path.is_file() else []
+    return runs
 
 
 def flown_as(run: dict[str, Any]) -> tuple[Any, ...]:
@@ -71,8 +76,7 @@ def flown_as(run: dict[str, Any]) -> tuple[Any, ...]:
 
 def weights_of(path: Path) -> set[tuple[str | None, ...]]:
     """The weights that a submission's runs flew with, by their hashes; none of any other file."""
-    runs = json.loads(path.read_text(encoding="utf-8")).get("runs", [])
-    return {tuple(each["run"]["options"].get(name) for name in WEIGHTS) for each in runs}
+    return {tuple(each["run"]["options"].get(name) for name in WEIGHTS) for each in runs_in(path)}
 
 
 def keep_pilot(folders: list[Path], path: Path) -> None:
