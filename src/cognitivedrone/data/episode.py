@@ -26,7 +26,7 @@ class Conditions:
     seed: int
     """Seed of its collection."""
     airframe: str
-    look: Literal[AppearanceName, "published"]
+    look: AppearanceName | Literal["published"]
     """`published`: imported from a data set in the published layout, which does not record the appearance."""
     start_position: tuple[float, float, float]
     """World, m."""

@@ -20,7 +20,7 @@ from typing import Any, Final
 import pyarrow as pa
 
 from cognitivedrone import files
-from cognitivedrone.data.episode import Conditions, Encoding
+from cognitivedrone.data.episode import Encoding
 from cognitivedrone.errors import DataError
 from cognitivedrone.files.schema import check_form
 from cognitivedrone.system import sync_folder
@@ -217,6 +217,17 @@ class _Manifest:
 
 
 @dataclass(frozen=True, slots=True)
+class _Conditions:
+    seed: int
+    airframe: str
+    look: str
+    start_position: tuple[float, float, float]
+    start_yaw: float
+    wind: tuple[float, float, float]
+    place: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class _TaskFacts:
     category: str
     family: str
@@ -228,7 +239,7 @@ class _EpisodeFacts:
     length: int
     suite: str
     encoding: Encoding
-    conditions: Conditions
+    conditions: _Conditions
     final_position: tuple[float, float, float]
     task: _TaskFacts
 

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from cognitivedrone.errors import TaskError
 from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.suites import drawn_task
-from cognitivedrone.training.language.places import PLACE_FAMILIES, ask_place, thing_name
+from cognitivedrone.training.language.places import PLACE_FAMILIES, ask_place, place_families, thing_name
 from cognitivedrone.types import Gate
 
 GATES = (Gate("big", "round", "red"), Gate("small", "square", "green"), Gate("big", "round", "blue"))
@@ -19,9 +20,8 @@ NUMBERS: Any = ("number/9@lora", "number/4@lora", "number/7@lora")
 LETTERS: Any = ("letter/Q@lora", "letter/B@lora", "letter/F@lora")
 
 
-def texts(labels: Any, target: int, family: str, count: int = 150) -> set[str]:
-    asked = [ask_place(np.random.default_rng(i), labels, GATES, target) for i in range(4 * count)]
-    return {question.text for question in asked if question.family == family}
+def texts(labels: Any, target: int, family: str, count: int = 150, gates: Any = GATES) -> set[str]:
+    return {ask_place(np.random.default_rng(i), labels, gates, target, family).text for i in range(count)}
 
 
 def test_every_training_scene_can_be_asked_about_and_every_slot_is_filled() -> None:
@@ -33,6 +33,7 @@ def test_every_training_scene_can_be_asked_about_and_every_slot_is_filled() -> N
             assert question.target == target
             assert question.text.strip()
             assert not re.search(r"[{}\x1f]", question.text), question
+            assert question.family in place_families(task.labels, task.gates, target)
             found.add(question.family)
     assert found == set(PLACE_FAMILIES)
 
@@ -92,14 +93,24 @@ def test_orders() -> None:
     )
     assert any("first in" in text for text in texts(LETTERS, 1, "order"))
     assert any("last in" in text for text in texts(LETTERS, 0, "order"))
-    assert texts(ANIMALS, 0, "order")  # "cat" comes first by name
-    assert not texts(ANIMALS, 2, "order")  # nobody asks for the middle name
-    assert not texts(("number/7@lora", "number/7@inter", "number/9@lora"), 0, "order")
+    assert "order" in place_families(ANIMALS, GATES, 0)  # "cat" comes first by name
+    assert "order" not in place_families(ANIMALS, GATES, 2)  # nobody asks for the middle name
+    assert "order" not in place_families(("number/7@lora", "number/7@inter", "number/9@lora"), GATES, 0)
 
 
 def test_what_has_no_name_is_no_landmark() -> None:
     person = "person/skin=tan@sky"
-    assert not texts((person, ANIMALS[1], ANIMALS[2]), 0, "beside")
-    assert not texts((ANIMALS[1], ANIMALS[1], ANIMALS[2]), 0, "beside")
+    assert "beside" not in place_families((person, ANIMALS[1], ANIMALS[2]), GATES, 0)
+    assert "beside" not in place_families((ANIMALS[1], ANIMALS[1], ANIMALS[2]), GATES, 0)
     assert thing_name("letter/Q@lora") == "the letter Q"
     assert thing_name("logo/php@color") == "the PHP logo"
+
+
+def test_wrong_questions_are_refused() -> None:
+    rng = np.random.default_rng(0)
+    with pytest.raises(TaskError, match="did you mean 'place'"):
+        ask_place(rng, ANIMALS, GATES, 0, "plaice")
+    with pytest.raises(TaskError, match="'order' cannot ask for gate 3"):
+        ask_place(rng, ANIMALS, GATES, 2, "order")
+    with pytest.raises(TaskError, match="the target is 0, 1 or 2"):
+        place_families(ANIMALS, GATES, 3)

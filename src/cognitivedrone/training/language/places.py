@@ -12,6 +12,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from cognitivedrone.errors import TaskError, did_you_mean
 from cognitivedrone.models.words.calculator import evaluate
 from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks.families.symbols import logo_name
@@ -38,20 +39,42 @@ _Way: TypeAlias = tuple[str, dict[str, str]]
 """A heading of the corpus, and what fills its slots."""
 
 
-def ask_place(rng: np.random.Generator, labels: Labels, gates: Gates, target: int) -> Question:
-    """A question about place, look or order whose only right answer is the gate at `target`: 0, 1 or 2.
+def place_families(labels: Labels, gates: Gates, target: int) -> tuple[str, ...]:
+    """The families that can ask for a gate unambiguously; `place` always can.
 
-    Its family is drawn uniformly from those that can ask for this gate; `place` always can. Raises `TaskError` and
-    `LabelError` for a malformed scene.
+    Raises `TaskError` for a target that is not 0, 1 or 2, `LabelError` for a malformed label.
+    """
+    return tuple(family for family in PLACE_FAMILIES if _RULES[family](labels, gates, _checked(target)))
+
+
+def ask_place(
+    rng: np.random.Generator, labels: Labels, gates: Gates, target: int, family: str | None = None
+) -> Question:
+    """A question about place, look or order whose only right answer is the gate at `target`.
+
+    Without a family, one of `place_families(...)` is drawn uniformly. Raises `TaskError` for an unknown family or one
+    that cannot ask for this gate, and for a malformed scene.
     """
     check_gates(gates, "scene")
-    possible = [(family, ways) for family in PLACE_FAMILIES if (ways := _RULES[family](labels, gates, target))]
-    family, ways = possible[int(rng.integers(len(possible)))]
-    heading, fields = _pick(rng, ways)
+    ways_of = {each: _RULES[each](labels, gates, _checked(target)) for each in PLACE_FAMILIES}
+    possible = [each for each, ways in ways_of.items() if ways]
+    if family is None:
+        family = possible[int(rng.integers(len(possible)))]
+    if family not in possible:
+        if family not in PLACE_FAMILIES:
+            raise TaskError(f"unknown family {family!r}; {did_you_mean(family, PLACE_FAMILIES)}")
+        raise TaskError(f"family {family!r} cannot ask for gate {target + 1}; possible: {', '.join(possible)}")
+    heading, fields = _pick(rng, ways_of[family])
     lines = _fitting(heading, labels)
     line = lines[int(rng.integers(len(lines)))].replace("{gate}", "{{gate}}").replace("{other}", "{{other}}")
     text = TYPED.completed(rng, line.format(**fields), Scene(labels, gates, target))
     return Question(text, target, family)
+
+
+def _checked(target: int) -> int:
+    if target not in (0, 1, 2):
+        raise TaskError(f"target {target!r}; a scene has 3 panels and the target is 0, 1 or 2")
+    return target
 
 
 def _pick(rng: np.random.Generator, ways: Sequence[_Way]) -> _Way:
