@@ -12,7 +12,7 @@ from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.runs.episode import PilotRunner
 from cognitivedrone.benchmark.runs.job import resolve
 
-SURE, UNSURE = {"suite": "open-v1:smoke", "episode": 4}, {"suite": "open-v3:photos", "episode": 13}
+SURE, UNSURE = {"suite": "open-v1:smoke", "episode": 4}, {"suite": "open-v3:photos", "episode": 6}
 
 
 @pytest.mark.parametrize("scene", [SURE, UNSURE])
