@@ -184,6 +184,16 @@ TABLES: Final[dict[str, Description]] = {
     ),
     # docs/r1.md
     "r1": reasoner_worth,
+    "losses": rows_of(
+        "losses",
+        {
+            "suite": "`{suite}`",
+            "tasks": "{tasks}",
+            "the reasoner": "{joint:.1%}",
+            "its eyes alone": "{eyes:.1%} of {of_eyes}",
+            "its words alone": "{words:.1%} of {of_words}",
+        },
+    ),
     "false-alarms": false_alarms,
     "r1-families": families("r1", ("open-v1:test", "open-v1:unseen", "open-v2:words", "open-v1:hard")),
     "r1-latency": latencies,
@@ -268,6 +278,7 @@ TABLES: Final[dict[str, Description]] = {
         {"what": "{what}", "control steps/s": "{steps_per_s:,.0f}", "date": "{date}", "ratio": "{ratio:.2g}"},
         having="steps_per_s",
     ),
+    "ppo": rows_of("ppo", {"steps": "{steps:,}", "minutes": "{minutes:g}", "of": "{flown}", "passed": "{passed:.0%}"}),
     "environment-card": rows_of(
         "environment_card", {"what": "{what}", "control steps/s": "{steps_per_s:,.0f}"}, having="steps_per_s"
     ),
