@@ -184,6 +184,9 @@ TABLES: Final[dict[str, Description]] = {
     ),
     # docs/r1.md
     "r1": reasoner_worth,
+    "say": rows_of(
+        "say", {"kind": "{kind}", "as a sensible drone": "{right} of {of}", "declined or refused": "{declined}"}
+    ),
     "losses": rows_of(
         "losses",
         {
