@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from cognitivedrone.apps.understanding.request import Understanding
-from cognitivedrone.apps.understanding.sentence import distance, normalised, wanted_and_refused
+from cognitivedrone.apps.understanding.sentence import distance
+from cognitivedrone.models.words.refusals import normalised, wanted_and_refused
 
 UNDERSTANDING = Understanding(
     {"robin": frozenset({"birds/robin", "birds/robin_2"}), "blue tit": frozenset({"birds/blue-tit"})}

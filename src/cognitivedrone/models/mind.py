@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 
 from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.eyes.sight import LOOKS, attributes_of
-from cognitivedrone.models.onnx_file import check_graph, field_of, numbers_of, open_model, shared
-from cognitivedrone.models.words.concepts import Concepts, ConceptsModel, concepts_of, evidence
+from cognitivedrone.models.onnx_file import check_graph, field_of, numbers_of, open_model, shared, shares_of
+from cognitivedrone.models.words.concepts import Concepts, ConceptsModel, Fits, concepts_of, evidence
 from cognitivedrone.models.words.text_encoder import TextEncoderModel
 from cognitivedrone.tasks.directives import looks_asked
 from cognitivedrone.types import COLORS, SHAPES, SIZES
@@ -34,6 +34,7 @@ LANGUAGE_FILE: Final = "language.onnx"
 LANGUAGE: Final = "language"
 FORMER_LANGUAGES: Final = {"reasoner-language": "a language of an earlier kind, which was the reasoner's alone"}
 _ANY = 1
+_DENIED = 0.9  # how surely a gate that shows what is denied is not meant
 _FAINT = 1e-4  # share of a thing that is not ruled out
 _OF_THINGS = ("kind/thing", "kind/unknown")
 _LOOKS: Final[list[str]] = [*COLORS, *SHAPES, *SIZES]
@@ -113,22 +114,32 @@ class Mind:
 
     def evidence(self, instruction: str, panels: Floats, classes: Floats | None) -> Floats:
         """(3,) log-odds of each gate against the mean of them, of what is seen on panels (3, F), and by the photograph
-        network's classes (3, C); zero where nobody asked it, panels show no things, or the sentence names looks alone.
+        network's classes (3, C). What the sentence says it does not mean counts against a gate that shows it. Zero
+        where nobody asked the network, panels show no things, or the sentence names looks alone.
         """
         if classes is None or self.concepts is None or not self._shows_things(panels) or looks_asked(instruction):
             return np.zeros(len(panels), np.float32)
-        things, fits = self.concepts.fits(instruction)
         shares = panels[:, list(self.attributes.things)] + _FAINT
-        told = np.zeros(len(panels), np.float32)
-        for seen, fit in ((shares / shares.sum(axis=1, keepdims=True), things), (classes, fits)):
-            likely = evidence(seen, fit)
-            told += likely - np.log(np.exp(likely).mean())
+        shares /= shares.sum(axis=1, keepdims=True)
+        wanted, denied = self.concepts.hear(instruction)
+        told = np.zeros(len(panels), np.float32) if wanted is None else _likely(shares, classes, wanted)
+        for each in denied:
+            told += 2 * np.log(1 - _DENIED * shares_of(_likely(shares, classes, each)))
         return told
 
     def _shows_things(self, panels: Floats) -> bool:
         """Whether panels (n, F) show animals, foods and objects rather than letters, people, sums or the like."""
         share: float = panels[:, self._others].sum(axis=1).mean()
         return share < 0.5
+
+
+def _likely(shares: Floats, classes: Floats, fits: Fits) -> Floats:
+    """(n,) log-odds of each gate against the mean of them, of what is seen on panels."""
+    told = np.zeros(len(shares), np.float32)
+    for seen, fit in zip((shares, classes), fits, strict=True):
+        likely = evidence(seen, fit)
+        told += likely - np.log(np.exp(likely).mean())
+    return told
 
 
 def fits_of(asked: Sequence[str | None], looks: Floats) -> Floats:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone.models.attributes import SIGNS, SUM_GROUPS, AttributeSchema
 from cognitivedrone.models.words.calculator import calculate, numeral
+from cognitivedrone.models.words.running_total import told
 from cognitivedrone.models.words.scene_tokens import NUMBERS, SceneText, number_text
 from cognitivedrone.references import PERSON_ATTRIBUTES
 from cognitivedrone.tasks.facts import KIND_OF
@@ -92,7 +93,7 @@ class SceneWriter:
         panels = [self._panel(row) for row in scene.panels]
         board = self._panel(scene.board) if scene.board.max(initial=0.0) > 0 else None
         on_board = board.value if board else None
-        answer = calculate(instruction, on_board)
+        answer = _answer(instruction, on_board, {panel.value for panel in panels})
         earlier = [[(self._panel(row), flown) for row, flown in stage] for stage in scene.earlier]
         numbers = _numbers_in(instruction)
         gates = [
@@ -319,6 +320,12 @@ def _numbers_in(sentence: str) -> tuple[int, ...]:
         if value is not None and value not in found:
             found.append(value)
     return tuple(found[:2]) if len(found) <= 2 else ()
+
+
+def _answer(instruction: str, board: int | None, shown: Collection[int | None]) -> int | None:
+    """What the sentence asks to calculate: what it tells step by step counts where a panel shows that alone."""
+    answer, guess = calculate(instruction, board), told(instruction, board)
+    return guess if guess is not None and guess in shown and (answer is None or answer not in shown) else answer
 
 
 def _shown_name(panel: _Panel) -> str:

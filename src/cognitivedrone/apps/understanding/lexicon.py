@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cognitivedrone.apps.understanding.sentence import OFTEN, normalised, stem, words_of
+from cognitivedrone.apps.understanding.sentence import OFTEN, stem, words_of
+from cognitivedrone.models.words.refusals import normalised
 from cognitivedrone.models.words.text_encoder import TextEncoderModel
 from cognitivedrone.tasks import vocabulary
 from cognitivedrone.tasks.facts import FACTS, GROUPS, HEALTHY, KIND_OF, UNHEALTHY

@@ -7,7 +7,8 @@ import re
 from collections.abc import Mapping, Sequence
 
 from cognitivedrone.apps.understanding import lexicon
-from cognitivedrone.apps.understanding.sentence import normalised, words_of
+from cognitivedrone.apps.understanding.sentence import words_of
+from cognitivedrone.models.words.refusals import normalised
 from cognitivedrone.tasks.people import FEATURES, TRAIN_CAST, Feature
 
 FEATURE_NAMES = {

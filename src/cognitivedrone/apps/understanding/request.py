@@ -16,15 +16,8 @@ from types import MappingProxyType
 from cognitivedrone.apps.understanding import lexicon, persons, signs
 from cognitivedrone.apps.understanding.lexicon import KIND_WORDS, PLACES, Predicate
 from cognitivedrone.apps.understanding.predicates import DENIALS, close_together, denied_alike, says_more, together
-from cognitivedrone.apps.understanding.sentence import (
-    Speller,
-    corrected_parts,
-    normalised,
-    placed,
-    stem,
-    wanted_and_refused,
-    words_of,
-)
+from cognitivedrone.apps.understanding.sentence import Speller, corrected_parts, placed, stem, words_of
+from cognitivedrone.models.words.refusals import normalised, wanted_and_refused
 from cognitivedrone.tasks.directives import parse_directive
 from cognitivedrone.tasks.facts import GROUPS, KIND_OF
 from cognitivedrone.tasks.knowledge.tables import EMPTY, table

@@ -1,4 +1,4 @@
-"""Sentences as people type them: normalised, in words without typing errors, cut at corrections and refusals.
+"""Sentences as people type them: in words without typing errors, cut at corrections.
 
 Everything here is about spelling and form. What the words mean is in `request.py`.
 """
@@ -6,19 +6,9 @@ Everything here is about spelling and form. What the words mean is in `request.p
 from __future__ import annotations
 
 import re
-import unicodedata
 from collections.abc import Collection, Iterable, Iterator, Sequence
 
 _WORD = re.compile(r"[a-z]+|\d+|[^\W\d_a-z]+")
-_SHORTENED = (
-    (r"\b(do|does|did|is|are|was|were|would|should|could|must|have|has)n'?t\b", r"\1 not"),
-    (r"\b(?:ca|wo)n'?t\b|\bcannot\b", "can not"),
-    (r"'(?:s|re|ve|ll|d|m)\b", ""),
-    (r"\bnon(?:[- ]|(?=red\b|green\b|blue\b|round\b))", "not "),
-    (r"\bfly (?=(?:to|through|towards?|over|at|into)\b)", "go "),  # it is no insect
-    (r"\b(?:some|any)thing (?:to eat|edible|(?:that )?(?:i|you|we|one|people) (?:can |could )?eat)\b", "food"),
-    (r"\b(go|fly|head|on|over|thru|through|me) 2 (?=(?:the|teh|that|this|a|an|my)\b)", r"\1 to "),
-)
 _CORRECTIONS = re.compile(
     r"\b(?:no+[ ,.!-]+wait|wait[ ,.!-]+no+|oh wait|wait|i mean|i meant|sorry|scratch that|strike that|make that|"
     r"actually|or rather|correction|never ?mind|nvm|forget (?:that|it|about it)|i changed my mind|changed my mind|"
@@ -26,26 +16,6 @@ _CORRECTIONS = re.compile(
     r"let me rephrase(?: that)?|no(?= *[,.!;-])|(?<=[,.;!?] )no(?= (?:the|an?|to|go|fly|i want)\b))\b|\*(?!\s*\d)|"
     r"[,.;!?]+\s(?=[^,.;!?]*\binstead\b(?! of))"
 )
-_REFUSALS = re.compile(
-    r"\b(?:any(?:thing|where) but|everything but|all but|any (?:gate|one) but|any(?:thing)? except|other than|"
-    r"instead of|rather than|stay away from|away from|stay clear of|steer clear of|except(?: for)?|leave out|"
-    r"(?:avoid|skip(?:p)?|bypass|exclud|ignor|omit(?:t)?|(?<!not )forget)(?:e|ing)?|not(?! forget)|no|never|without|"
-    r"neither|nor|none of|dont|hate|past|nicht|niemals|nie|kein\w*|ohne|au(?:ss|ß)er|"
-    r"(?:ver)?meide|pas|jamais|sans|sauf|[eé]vite[rz]?|sin|senza|anstatt|"
-    r"nunca|excepto|salvo|mai|tranne)\b"
-)
-_FORBIDDEN = re.compile(
-    r"\b(?:(?:must|may|should|can|is|are) ?(?:not|n't|never)|cannot|never) (?:to )?be \w+|"
-    r"\b(?:is|are) (?:not allowed|no go|forbidden|off limits|taboo|banned|prohibited|out of bounds)\b"
-)
-"""After what is refused: "dogs are forbidden"."""
-_CLAUSE_ENDS = re.compile(
-    r"[,.;:!?()]+|\s[-\u2013\u2014]+\s|\b(?:(?<!anything )(?<!anywhere )(?<!everything )(?<!all )(?<!any gate )"
-    r"(?<!any one )but|and then|then|just|"
-    r"and (?=go|fly|take|choose|pick|find|head|aim)|sondern|mais|sino)\b|"
-    r"(?<!not )(?<!to )\b(?=(?:go|fly|head) (?:to|through|thru|for)\b|(?:choose|pick|take) the\b)"
-)
-
 _NUMBERED = re.compile(r"\b(gate|hoop|portal) (?:number |no\.? |nr\.? |# ?)?([123])\b(?!\s*[-+*/x.,]\s*\d)")
 """As the program itself names gates: "gate 2"."""
 _ORDINALS = re.compile(
@@ -53,16 +23,6 @@ _ORDINALS = re.compile(
     r"(?:(?P<what>gate|one|hoop)|from (?:the )?left)\b"
 )
 _ORDINAL_PLACES = {"f": "left", "1": "left", "s": "middle", "2": "middle"}
-
-
-def normalised(sentence: str) -> str:
-    """In lower case, without accents and short forms, with emoji as words, and without drawn-out letters."""
-    named = "".join(_spelled(sign) for sign in unicodedata.normalize("NFKC", sentence))
-    text = "".join(sign for sign in unicodedata.normalize("NFKD", named.casefold()) if not unicodedata.combining(sign))
-    text = text.replace("\u2019", "'").replace("`", "'").replace("\u2044", "/")  # the bar of a fraction
-    for pattern, shown in _SHORTENED:
-        text = re.sub(pattern, shown, text)
-    return re.sub(r"([a-z])\1{2,}", r"\1\1", text)
 
 
 def words_of(text: str) -> list[str]:
@@ -96,18 +56,6 @@ def placed(text: str) -> str:
     return _ORDINALS.sub(
         lambda said: f"{_ORDINAL_PLACES.get(said['place'][0], 'right')} {said['what'] or 'gate'}", numbered
     )
-
-
-def wanted_and_refused(text: str) -> tuple[str, str]:
-    """The clauses of a normalised text that ask for something, and what the others refuse, each joined."""
-    wanted, refused = [], []
-    for clause in _CLAUSE_ENDS.split(text):
-        if forbidden := _FORBIDDEN.search(clause):
-            clause = f"not {clause[: forbidden.start()]}"
-        refusal = _REFUSALS.search(clause)
-        wanted.append(clause[: refusal.start()] if refusal else clause)
-        refused.append(clause[refusal.end() :] if refusal else "")
-    return " , ".join(filter(str.strip, wanted)), " , ".join(filter(str.strip, refused))
 
 
 OFTEN = {
@@ -190,8 +138,3 @@ def distance(a: str, b: str, limit: int) -> int:
 
 def _undoubled(word: str) -> str:
     return re.sub(r"(.)\1", r"\1", word)
-
-
-def _spelled(sign: str) -> str:
-    """An emoji by its name, anything else as it is."""
-    return f" {unicodedata.name(sign, '').lower()} " if unicodedata.category(sign) == "So" else sign

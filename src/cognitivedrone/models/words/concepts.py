@@ -11,13 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError
 from cognitivedrone.models.onnx_file import beside, check_graph, count_of, field_of, numbers_of, open_model
+from cognitivedrone.models.words.refusals import things_denied
 from cognitivedrone.models.words.text_encoder import TextEncoderModel
 
 CONCEPTS: Final = "concepts"
@@ -27,6 +28,7 @@ STANDS_OUT: Final = 3.5
 CLEAR: Final = 6.0
 """The same, for what a sentence must mean: "where the king lives" 6.0, "take me to the Eiffel Tower" 5.0."""
 _NEAR = 0.04  # difference in cosine at which a concept counts e times less than one that fits better
+_NAMED = 0.4  # cosine from which a phrase names a concept
 _LEAST = 1e-6  # likelihood that no panel falls below
 
 Floats = NDArray[np.float32]
@@ -66,6 +68,20 @@ class ConceptsModel:
         return found
 
 
+class Fits(NamedTuple):
+    """How well concepts fit a sentence: cosines."""
+
+    things: Floats
+    """(T,) of the reader's things."""
+    classes: Floats
+    """(C,)."""
+
+    @property
+    def best(self) -> float:
+        """Of the concept that fits best."""
+        return float(max(self.things.max(), self.classes.max()))
+
+
 class Concepts:
     """The concepts for one reader: its things in its own order, whether they stand in the table or were taught."""
 
@@ -82,16 +98,28 @@ class Concepts:
         names = [things[row].partition(":")[2].replace("_", " ") for row in self._taught]
         self._meanings = encoder.meanings(names) if names else np.zeros((0, encoder.size), np.float32)
         self._names = [*(name.partition(":")[2] for name in things), *model.classes]
-        self._heard: tuple[str | None, Floats] = (None, np.zeros(0, np.float32))
+        self._heard: tuple[str | None, Fits | None, tuple[Fits, ...]] = (None, None, ())
 
     @property
     def heard(self) -> tuple[tuple[str, float], ...]:
         """What the last sentence was taken for: the concepts that fit it best, with their cosines."""
-        fits = self._heard[1]  # of no sentence, none
         best: dict[str, float] = {}
-        for place in np.argsort(-fits).tolist()[:6]:
-            best.setdefault(self._names[place].replace("_", " "), float(fits[place]))
+        if (wanted := self._heard[1]) is not None:
+            fits = np.concatenate(wanted)
+            for place in np.argsort(-fits).tolist()[:6]:
+                best.setdefault(self._names[place].replace("_", " "), float(fits[place]))
         return tuple(best.items())[:3]
+
+    def hear(self, instruction: str) -> tuple[Fits | None, tuple[Fits, ...]]:
+        """What fits that which a sentence asks for, and each thing that it says is not meant; none where it asks for
+        nothing else that is known.
+        """
+        if self._heard[0] != instruction:  # flights that fork share it
+            wanted, denied = things_denied(instruction)
+            asked, *others = self._fits([wanted or instruction, *denied])
+            named = tuple(fits for fits in others if fits.best > _NAMED)
+            self._heard = instruction, asked if not named or (wanted and asked.best > _NAMED) else None, named
+        return self._heard[1:]
 
     def meant(self, sentence: str, least: float = STANDS_OUT) -> tuple[str, tuple[str, ...]] | None:
         """The thing of the table that a sentence means, and those that it does not; none where none stands out by so
@@ -104,17 +132,16 @@ class Concepts:
             return None
         return self._names[above.argmax()], tuple(self._names[row] for row in np.flatnonzero(above < np.median(above)))
 
-    def fits(self, instruction: str) -> tuple[Floats, Floats]:
-        """How well the things and the classes fit a sentence: (things,) and (C,) cosines."""
-        heard = self._heard  # flights that fork share it
-        if heard[0] != instruction:
-            meaning = self._encoder.meanings([instruction])
-            fits = self._model.fits(meaning)[0]
-            things = fits[self._places]
-            things[self._taught] = self._meanings @ meaning[0]
-            heard = self._heard = instruction, np.concatenate([things, fits[len(self._model.things) :]])
-        count = len(self._places)
-        return heard[1][:count], heard[1][count:]
+    def fits(self, instruction: str) -> Fits:
+        """How well the things and the classes fit a sentence."""
+        return self._fits([instruction])[0]
+
+    def _fits(self, texts: Sequence[str]) -> list[Fits]:
+        meanings = self._encoder.meanings(texts)
+        fits = self._model.fits(meanings)
+        things = fits[:, self._places]
+        things[:, self._taught] = meanings @ self._meanings.T
+        return [Fits(*both) for both in zip(things, fits[:, len(self._model.things) :], strict=True)]
 
 
 def evidence(shares: Floats, fits: Floats) -> Floats:

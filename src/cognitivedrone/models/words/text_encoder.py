@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from cognitivedrone.errors import ModelError
 from cognitivedrone.models.onnx_file import beside, check_graph, count_of, field_of, numbers_of, open_model, shared
 from cognitivedrone.models.words.calculator import calculate
+from cognitivedrone.models.words.running_total import told
 from cognitivedrone.models.words.scene_tokens import INPUTS, SceneTokenizer, number_text, stacked
 
 TEXT_ENCODER, FILE = "text-encoder", "text_encoder.onnx"
@@ -32,6 +33,7 @@ Floats = NDArray[np.float32]
 def parts_of(instruction: str) -> tuple[str, ...]:
     """The instruction, and the result of the calculation that it asks for, if it asks for one."""
     answer = calculate(instruction, None)
+    answer = told(instruction) if answer is None else answer
     return (instruction,) if answer is None else (instruction, f"answer: {number_text(answer)}")
 
 
