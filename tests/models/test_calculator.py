@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cognitivedrone.models.words.calculator import calculate, evaluate, numeral
+from cognitivedrone.models.words.running_total import told
 from cognitivedrone.tasks.suites import drawn_task, train_task
 
 
@@ -230,3 +231,40 @@ def test_no_text_breaks_the_calculator(text):
 )  # fmt: skip
 def test_everyday_words_for_arithmetic(sentence, result):
     assert calculate(sentence) == result
+
+
+@pytest.mark.parametrize(
+    ("sentence", "value"),
+    [
+        ("there were twenty on the bus; nine got off, two hopped on, so now we are", 13),
+        ("double five and then put two more on top", 12),
+        ("20 apples, I ate 6 and gave away 5, how many have I got?", 9),
+        ("I bought two packs of six and later eight more singles", 20),
+        ("three fives plus two", 17),
+        ("ten minus two, and what's half of that", 4),
+        ("how much is six and six", 12),
+        ("sixteen plus.. no, sixteen minus nine", 7),
+        ("twenty-one less twenty", 1),
+        ("the dog and two cats", None),
+        ("more than one but fewer than four", None),
+        ("seven sweets, and I ate the whole seven", 0),
+        ("three minus five", None),
+        ("seven divided by two", None),
+        ("five divided by zero", None),
+        ("the number 7", None),
+        ("", None),
+        ("two plus " * 1000, None),
+    ],
+)
+def test_what_is_told_step_by_step_is_calculated(sentence, value):
+    assert told(sentence) == value
+
+
+def test_what_is_told_of_the_board_needs_its_value():
+    assert told("do the board thing, then knock three off", 20) == 17
+    assert told("do the board thing, then knock three off") is None
+
+
+@given(st.text(alphabet="two plus off half of the board 3 ,.;-", max_size=300), st.none() | st.integers(0, 400))
+def test_any_sentence_tells_a_number_or_nothing(sentence, board):
+    assert told(sentence, board) is None or 0 <= told(sentence, board) < 10_000

@@ -43,10 +43,27 @@ def test_a_sentence_fits_what_it_means_best(concepts, sentence, thing):
 
 
 def test_a_concept_that_no_thing_stands_for_is_heard(concepts):
-    _, classes = concepts.fits("Fly to the gate with the great white shark")
-    assert classes.argmax() == 2
+    wanted, denied = concepts.hear("Fly to the gate with the great white shark")
+    assert wanted.classes.argmax() == 2
+    assert not denied
     assert concepts.heard[0][0] == "great white shark"
     assert len(dict(concepts.heard)) == 3
+
+
+@pytest.mark.parametrize(
+    ("sentence", "wanted", "denied"),
+    [
+        ("skip the koala, and not the fire engine, to the hammer", "hammer", ["koala", "fire_engine"]),
+        ("neither the hammer nor the koala", None, ["hammer", "koala"]),
+        ("the koala that does not sleep", "koala", []),
+        ("what comes when a house burns", "fire_engine", []),
+    ],
+)
+def test_what_is_denied_is_not_what_is_wanted(concepts, sentence, wanted, denied):
+    names = [thing.partition(":")[2] for thing in THINGS]
+    found, others = concepts.hear(sentence)
+    assert (found and names[found.things.argmax()]) == wanted
+    assert [names[each.things.argmax()] for each in others] == denied
 
 
 def test_what_means_nothing_is_taken_for_no_thing(model):

@@ -27,9 +27,14 @@ def seen(rows: slice, columns: slice, depth: float) -> tuple[np.ndarray, np.ndar
 PILLAR = (slice(None), slice(6, 8))  # a little to the left of the middle
 
 
+def look(avoidance, occupied, depth, velocity, yaw_rate, time):
+    avoidance.move(velocity, yaw_rate, time)
+    avoidance.see(occupied, depth)
+
+
 def test_where_nothing_is_seen_commands_stay_as_they_are():
     avoidance = Avoidance()
-    avoidance.see(NOTHING, FAR, STILL, 0.0, 0.0)
+    look(avoidance, NOTHING, FAR, STILL, 0.0, 0.0)
     assert avoidance.around(AHEAD, STILL, 1.0) is AHEAD
 
 
@@ -38,7 +43,7 @@ def test_where_nothing_is_seen_commands_stay_as_they_are():
 )
 def test_a_pillar_is_passed_on_the_nearer_side(columns, side):
     avoidance = Avoidance()
-    avoidance.see(*seen(slice(None), columns, 1.5), STILL, 0.0, 0.0)
+    look(avoidance, *seen(slice(None), columns, 1.5), STILL, 0.0, 0.0)
     vx, vy, vz, turning = avoidance.around(AHEAD, STILL, 1.0)
     assert vy * side > 0.2
     assert vx > 0.5
@@ -48,16 +53,16 @@ def test_a_pillar_is_passed_on_the_nearer_side(columns, side):
 
 def test_a_low_wall_across_the_view_is_flown_over():
     avoidance = Avoidance()
-    avoidance.see(*seen(slice(9, None), slice(None), 1.5), STILL, 0.0, 0.0)
+    look(avoidance, *seen(slice(9, None), slice(None), 1.5), STILL, 0.0, 0.0)
     assert avoidance.around(AHEAD, STILL, 0.9)[2] > 0.2
 
 
 def test_what_is_far_away_or_doubtful_does_not_matter():
     avoidance = Avoidance()
     occupied, depth = seen(*PILLAR, 5.0)
-    avoidance.see(occupied, depth, STILL, 0.0, 0.0)
+    look(avoidance, occupied, depth, STILL, 0.0, 0.0)
     assert avoidance.around(AHEAD, STILL, 1.0) is AHEAD
-    avoidance.see(np.minimum(occupied, 0.4), np.minimum(depth, 1.5), STILL, 0.0, 0.1)
+    look(avoidance, np.minimum(occupied, 0.4), np.minimum(depth, 1.5), STILL, 0.0, 0.1)
     assert avoidance.around(AHEAD, STILL, 1.0) is AHEAD
 
 
@@ -65,22 +70,22 @@ def test_an_obstacle_beside_the_drone_is_remembered_for_a_while():
     """Seen ahead to the left, then passed: a command to the left would lead into it."""
     config = AvoidanceConfig()
     avoidance, velocity = Avoidance(config), np.array([1.0, 0.0, 0.0])
-    avoidance.see(*seen(slice(None), slice(1, 4), 1.0), velocity, 0.0, 0.0)
+    look(avoidance, *seen(slice(None), slice(1, 4), 1.0), velocity, 0.0, 0.0)
     for step in range(1, 10):
-        avoidance.see(NOTHING, FAR, velocity, 0.0, step / 10)
+        look(avoidance, NOTHING, FAR, velocity, 0.0, step / 10)
     left = np.array([0.3, 1.2, 0.0, 0.0], np.float32)
     flown = avoidance.around(left, velocity, 1.0)
     assert flown[1] / flown[0] < left[1] / left[0]  # farther ahead, around it
-    avoidance.see(NOTHING, FAR, STILL, 0.0, 0.9 + config.memory_s)
+    look(avoidance, NOTHING, FAR, STILL, 0.0, 0.9 + config.memory_s)
     assert avoidance.around(left, STILL, 1.0) is left
 
 
 def test_what_is_remembered_turns_with_the_drone():
     """At the right edge of the view first; after a quarter of a turn to the left, to the right and behind."""
     avoidance, turning = Avoidance(), np.pi / 2
-    avoidance.see(*seen(slice(None), slice(15, 16), 1.0), STILL, turning, 0.0)
+    look(avoidance, *seen(slice(None), slice(15, 16), 1.0), STILL, turning, 0.0)
     for step in range(1, 11):
-        avoidance.see(NOTHING, FAR, STILL, turning, step / 10)
+        look(avoidance, NOTHING, FAR, STILL, turning, step / 10)
     there, elsewhere = np.array([-1.0, -1.0, 0.0, 0.0], np.float32), np.array([1.0, -1.0, 0.0, 0.0], np.float32)
     assert avoidance.around(elsewhere, STILL, 1.0) is elsewhere
     assert avoidance.around(there, STILL, 1.0) is not there
@@ -88,22 +93,22 @@ def test_what_is_remembered_turns_with_the_drone():
 
 def test_a_newer_frame_knows_better_than_memory():
     avoidance = Avoidance()
-    avoidance.see(*seen(*PILLAR, 1.5), STILL, 0.0, 0.0)
-    avoidance.see(NOTHING, FAR, STILL, 0.0, 0.1)
+    look(avoidance, *seen(*PILLAR, 1.5), STILL, 0.0, 0.0)
+    look(avoidance, NOTHING, FAR, STILL, 0.0, 0.1)
     assert avoidance.around(AHEAD, STILL, 1.0) is AHEAD
 
 
 def test_time_that_goes_backwards_is_another_flight():
     avoidance = Avoidance()
-    avoidance.see(*seen(slice(None), slice(0, 2), 0.5), STILL, 0.0, 9.0)
-    avoidance.see(NOTHING, FAR, STILL, 0.0, 0.0)
+    look(avoidance, *seen(slice(None), slice(0, 2), 0.5), STILL, 0.0, 9.0)
+    look(avoidance, NOTHING, FAR, STILL, 0.0, 0.0)
     left = np.array([0.0, 1.0, 0.0, 0.0], np.float32)
     assert avoidance.around(left, STILL, 1.0) is left
 
 
 def test_hovering_stays_hovering():
     avoidance, hover = Avoidance(), np.zeros(4, np.float32)
-    avoidance.see(*seen(slice(None), slice(None), 0.5), STILL, 0.0, 0.0)
+    look(avoidance, *seen(slice(None), slice(None), 0.5), STILL, 0.0, 0.0)
     assert avoidance.around(hover, STILL, 1.0) is hover
 
 
@@ -116,7 +121,7 @@ def test_whatever_is_seen_no_command_becomes_faster_or_turns_otherwise(command, 
     avoidance = Avoidance()
     for step in range(3):
         occupied, depth = rng.random((PARTS, PARTS)) ** 4, rng.uniform(0.3, 6, (PARTS, PARTS))
-        avoidance.see(occupied, depth, np.array(motion[:3]), motion[3], step / 10)
+        look(avoidance, occupied, depth, np.array(motion[:3]), motion[3], step / 10)
         action = np.array(command, np.float32)
         flown = avoidance.around(action, np.array(motion[:3]), height)
         assert np.isfinite(flown).all()

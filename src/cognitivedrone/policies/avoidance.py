@@ -64,12 +64,8 @@ class Avoidance:
         self._time: float | None = None
         self._last: Vector | None = None  # direction of the detour that is flown
 
-    def see(self, occupied: FloatArray, depth: FloatArray, velocity: Vector, yaw_rate: float, time: float) -> None:
-        """Take in what the eye sees (PARTS, PARTS) of a frame at `time`, s; velocity (3,) in the heading frame, m/s,
-        yaw rate in rad/s.
-
-        The camera counts as level: how far it is tilted is not among what a policy knows.
-        """
+    def move(self, velocity: Vector, yaw_rate: float, time: float) -> None:
+        """The drone has moved until `time`, s: velocity (3,) in the heading frame, m/s, yaw rate in rad/s."""
         config = self.config
         passed = 0.0 if self._time is None else time - self._time
         self._time = time
@@ -77,13 +73,21 @@ class Avoidance:
             self._points, self._radii, self._ages = np.zeros((0, 3)), np.zeros(0), np.zeros(0)
         known = rotate_yaw(self._points - np.asarray(velocity, float) * passed, -yaw_rate * passed)
         ages = self._ages + passed
-        kept = ~_in_view(known) & (ages < config.memory_s) & (np.linalg.norm(known, axis=1) < 2 * config.horizon_m)
+        kept = (ages < config.memory_s) & (np.linalg.norm(known, axis=1) < 2 * config.horizon_m)
+        self._points, self._radii, self._ages = known[kept], self._radii[kept], ages[kept]
+
+    def see(self, occupied: FloatArray, depth: FloatArray) -> None:
+        """Take in what the eye sees (PARTS, PARTS) of the newest frame.
+
+        The camera counts as level: how far it is tilted is not among what a policy knows.
+        """
+        config, kept = self.config, ~_in_view(self._points)
         row, column = np.nonzero(occupied > config.sure)
         far = depth[row, column].astype(float)
         seen = np.stack([far, _SIDES[column] * far, _SIDES[row] * far], axis=1) + MOUNT
-        self._points = np.concatenate([known[kept], seen])
+        self._points = np.concatenate([self._points[kept], seen])
         self._radii = np.concatenate([self._radii[kept], 0.5 * _HALF_PART * far])
-        self._ages = np.concatenate([ages[kept], np.zeros(len(far))])
+        self._ages = np.concatenate([self._ages[kept], np.zeros(len(far))])
 
     def around(self, action: Action, velocity: Vector, height: float) -> Action:
         """The command (4,) that flies around what is in the way; the given one, where nothing is."""

@@ -39,6 +39,7 @@ _NEWEST = 0.15  # minimum weight of the newest frame
 _SURE = 4.0  # log-odds of a gate that looks as asked; one of another colour is worth less than to look for it
 _LEAST = 1e-6  # probability of a gate that does not
 _DECLINE, _RESUME = 0.2, 0.4  # mean probabilities
+_WATCH_S = 0.15  # between frames in which obstacles are looked for
 _LOOKS = 1  # of the picture classifier in a frame: it costs as much as the rest
 _SHAPE = (IMAGE_SIZE, IMAGE_SIZE, 3)
 
@@ -56,7 +57,8 @@ class Decision:
     present: float | None = None
     """Probability that one of them is what the sentence asks for; None of models that read no sentences."""
     occupied: FloatArray | None = None
-    """(16, 16) for each part of the frame, rows from the top: probability of an obstacle; None where nobody asked."""
+    """(16, 16) for each part of the frame, rows from the top: probability of an obstacle; None where nobody asked, as
+    in every other frame."""
     depth: FloatArray | None = None
     """(16, 16) its distance along the camera's axis, m, if there is one."""
 
@@ -122,6 +124,8 @@ class Small(Policy):
         """What was decided on the last frame; none before the first."""
         self._text = ""
         self._state: FloatArray | None = None
+        self._watched = -np.inf
+        """When obstacles were looked for last, s."""
         self._presence = Presence()
         self.declines = False
 
@@ -156,7 +160,7 @@ class Small(Policy):
         """
         self.last = self._state = None
         self._forget()
-        self._avoidance = Avoidance()
+        self._avoidance, self._watched = Avoidance(), -np.inf
         self.declines = False
         self._listen(context.instruction)
 
@@ -183,7 +187,7 @@ class Small(Policy):
         """As `Policy.fork`."""
         other = copy.copy(self)
         other.last, other._state, other._text, other._threads = None, None, "", None
-        other._avoidance = Avoidance()
+        other._avoidance, other._watched = Avoidance(), -np.inf
         other._presence, other.declines = Presence(), False
         other._opinions = None if self._opinions is None else self._opinions.fork()
         return other
@@ -211,7 +215,9 @@ class Small(Policy):
             self._listen(observation.instruction)
             self._forget()
         state = state_of(observation)
-        return _Frame(_checked(observation.image), state, self._text, self._opinions, observation.time)
+        watch = self._eye is not None and not 0 <= observation.time - self._watched < _WATCH_S
+        self._watched = observation.time if watch else self._watched
+        return _Frame(_checked(observation.image), state, self._text, self._opinions, observation.time, watch)
 
     def _forget(self) -> None:
         """What earlier frames have shown."""
@@ -250,10 +256,12 @@ class Small(Policy):
 
     def _avoiding(self, frame: _Frame, decision: Decision) -> ActionChunk:
         """The commands that fly around the obstacles of a frame, and those seen before."""
-        if decision.occupied is None or decision.depth is None:
+        if self._eye is None:
             return decision.action
         velocity, height, yaw_rate = frame.state[:3], float(frame.state[3]), float(frame.state[4])
-        self._avoidance.see(decision.occupied, decision.depth, velocity, yaw_rate, frame.time)
+        self._avoidance.move(velocity, yaw_rate, frame.time)
+        if decision.occupied is not None and decision.depth is not None:
+            self._avoidance.see(decision.occupied, decision.depth)
         return np.stack([self._avoidance.around(each, velocity, height) for each in decision.action])
 
     def _listen(self, text: str) -> None:
@@ -277,6 +285,8 @@ class _Frame:
     """Of the frame's flight."""
     time: float
     """Since the start of the flight, s."""
+    watch: bool = False
+    """Whether to look for obstacles."""
 
 
 def _run(model: SmallModel, eye: ObstacleEye | None, frames: Sequence[_Frame]) -> Sequence[Decision | Exception]:
@@ -285,17 +295,21 @@ def _run(model: SmallModel, eye: ObstacleEye | None, frames: Sequence[_Frame]) -
         images, states = (np.stack([getattr(frame, name) for frame in frames]) for name in ("image", "state"))
         sight = model.eyes.see(images)
         flown = model.fly(sight, states)
-        seen = None if eye is None else eye.look(images)
+        seen: list[tuple[FloatArray, ...]] = [()] * len(frames)
+        watched = [row for row, frame in enumerate(frames) if frame.watch]
+        if watched and eye is not None:
+            for row, *found in zip(watched, *eye.look(images[watched]), strict=True):
+                seen[row] = tuple(found)
     except Exception as error:  # of every frame
         return [error] * len(frames)
-    return [attempt(partial(_decide, model, sight, flown, seen, row), frame) for row, frame in enumerate(frames)]
+    return [attempt(partial(_decide, model, sight, flown, seen[row], row), frame) for row, frame in enumerate(frames)]
 
 
 def _decide(
     model: SmallModel,
     sight: Sight,
     flown: Flown,
-    seen: tuple[FloatArray, FloatArray] | None,
+    seen: tuple[FloatArray, ...],
     row: int,
     frame: _Frame,
 ) -> Decision:
@@ -307,7 +321,7 @@ def _decide(
         logits[:3] += asked
     choice = shares_of(np.where([*there, True], logits, -np.inf))
     action = flown.options[row, int(choice.argmax())]
-    return Decision(action, choice, gates, present, *(() if seen is None else (part[row] for part in seen)))
+    return Decision(action, choice, gates, present, *seen)
 
 
 def _judged(

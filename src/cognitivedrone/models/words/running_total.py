@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import operator
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
-from typing import Final
+from typing import Any, Final
 
 from cognitivedrone.models.words.number_words import TENS, WORDS
 
@@ -24,8 +24,15 @@ _ADDS = re.compile(r"how (?:much|many)|together|in (?:all|total)|all in all|\bsu
 """Where "and" adds."""
 _NUMBERS: Final = {word: int(value) for word, value in WORDS.items()} | {"couple": 2, "dozen": 12}
 _PLURALS: Final = {f"{word}es" if word[-1] in "xo" else f"{word}s": value for word, value in _NUMBERS.items()}
-_FACTORS: Final = {"double": 2, "twice": 2, "triple": 3, "thrice": 3, "half": Fraction(1, 2), "halve": Fraction(1, 2)}
-_SIGNS: Final = {
+_FACTORS: Final[dict[str, int | Fraction]] = {
+    "double": 2,
+    "twice": 2,
+    "triple": 3,
+    "thrice": 3,
+    "half": Fraction(1, 2),
+    "halve": Fraction(1, 2),
+}
+_SIGNS: Final[dict[str, Callable[[Any, Any], Fraction]]] = {
     word: sign
     for sign, words in {
         operator.add: "+ plus add added adding more another extra later top put stick bump increase joined found bought"
@@ -37,15 +44,16 @@ _SIGNS: Final = {
     }.items()
     for word in words.split()
 }
-_COMPARED: Final = frozenset(("more", "less", "fewer"))
 
 
 def told(sentence: str, board: int | None = None) -> int | None:
     """The result of a sentence that tells a calculation step by step; none for any other, and for no integer of 0 or
     more. `board` is the value of the sum on the board.
     """
-    text = _AGAIN.split(sentence[:400].lower())[-1]
-    tokens = _TOKEN.findall(text)[:_LONGEST]
+    text = _AGAIN.split(sentence.lower().replace("ty-", "ty "))[-1]
+    tokens = _TOKEN.findall(text)
+    if len(tokens) > _LONGEST:
+        return None
     found = list(_numbers(tokens, board))
     value, since, steps = Fraction(0), 0, 0
     for place, (start, end, number, made) in enumerate(found):
@@ -100,6 +108,6 @@ def _clause(tokens: Sequence[str]) -> Sequence[str]:
     return tokens[: next((at for at, token in enumerate(tokens) if token in _STOPS), None)]
 
 
-def _sign(tokens: Sequence[str]) -> object:
-    """The first word that says how a number changes the result; "more than four" does not."""
+def _sign(tokens: Sequence[str]) -> Callable[[Any, Any], Fraction] | None:
+    """The first word that says how a number changes the result."""
     return next((_SIGNS[word] for word in tokens if word in _SIGNS), None)
