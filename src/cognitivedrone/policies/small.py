@@ -26,6 +26,7 @@ from cognitivedrone.models.small_file import MODEL_FILE, Flown, SmallModel
 from cognitivedrone.models.words.concepts import concepts_of
 from cognitivedrone.models.words.text_encoder import encoder_of
 from cognitivedrone.policies.avoidance import Avoidance
+from cognitivedrone.sim.drawing.views import FOCAL_PX, MOUNT
 from cognitivedrone.system import cores
 from cognitivedrone.tasks.directives import looks_asked
 from cognitivedrone.types import COLORS, IMAGE_SIZE, Action, ActionChunk, EpisodeContext, FloatArray, Image, Observation
@@ -40,6 +41,8 @@ _SURE = 4.0  # log-odds of a gate that looks as asked; one of another colour is 
 _LEAST = 1e-6  # probability of a gate that does not
 _DECLINE, _RESUME = 0.2, 0.4  # mean probabilities
 _WATCH_S = 0.15  # between frames in which obstacles are looked for
+_LEVELS_M = (3.0, 4.0)  # from a gate: height is flown by its place in the image, and by the head alone from there
+_CLIMB_PER_S, _FASTEST = 1.2, 0.8  # 1/s and m/s, to its middle
 _LOOKS = 1  # of the picture classifier in a frame: it costs as much as the rest
 _SHAPE = (IMAGE_SIZE, IMAGE_SIZE, 3)
 
@@ -320,7 +323,10 @@ def _decide(
         asked, present = _judged(model.mind, sight.readings[row], sight.boxes[row], sight.looks[row], there, frame)
         logits[:3] += asked
     choice = shares_of(np.where([*there, True], logits, -np.inf))
-    action = flown.options[row, int(choice.argmax())]
+    best = int(choice.argmax())
+    action = flown.options[row, best]
+    if best < len(gates):
+        action = _levelled(action, gates[best])
     return Decision(action, choice, gates, present, *seen)
 
 
@@ -343,6 +349,18 @@ def _judged(
     heard = mind.weigh(frame.text, panels, looks, board)
     present = 1 - float(shares_of(np.where([*there, True], heard.match, -np.inf))[3])
     return heard.choice + mind.evidence(frame.text, panels, classes), present
+
+
+def _levelled(action: ActionChunk, gate: FloatArray) -> ActionChunk:
+    """Near a gate, climb or sink to the middle of its opening: the head, which has learnt from flights that were right
+    long before, gets there too late.
+    """
+    _, v, _, distance = gate.tolist()
+    share = float(np.interp(distance, _LEVELS_M, (1.0, 0.0)))
+    above = distance * (IMAGE_SIZE / 2 - v) / FOCAL_PX + MOUNT[2]
+    found = action.copy()
+    found[:, 2] += share * (np.clip(_CLIMB_PER_S * above, -_FASTEST, _FASTEST) - action[:, 2])
+    return found
 
 
 class Race(Small):
