@@ -337,12 +337,15 @@ def _judged(
 
     A directive, and whatever else names a gate by its looks alone, is about nothing but the looks.
     """
+    colors = looks[:, : len(COLORS)].argmax(axis=1)
     if (asked := looks_asked(frame.text)) is not None:
         fits = fits_of(asked, looks) * there
-        return _SURE + np.log(fits + _LEAST), 1 - float((1 - fits).prod())
+        # An obstacle before a gate hides its shape and size, and may itself be taken for a gate, of a colour that is
+        # there twice then.
+        clear = len({*colors[there].tolist()}) == there.sum()
+        return _SURE + np.log(fits + _LEAST), 1 - float((1 - np.cbrt(fits)).prod()) if clear else 1.0
     panels, classes = readings[:3], None
     if frame.opinions is not None:
-        colors = looks[:, : len(COLORS)].argmax(axis=1)
         frame.opinions.look(frame.image, boxes[:3, :3][there], colors[there].tolist(), _LOOKS)
         panels, classes = frame.opinions.joined(panels, looks), frame.opinions.classes(colors.tolist())
     board = readings[3] if boxes[3, 3] > _BOARD else np.zeros_like(readings[3])
