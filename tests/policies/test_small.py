@@ -43,7 +43,7 @@ def test_the_network_sees_frame_motion_and_sentence(policy):
     chunk = policy.act(OBSERVATION)
     assert chunk.shape == (2, 4)
     assert chunk.dtype == np.float32
-    assert np.allclose(chunk, [[0.2, 0.8, 0.2, -0.25]] * 2)  # toward the second gate
+    assert np.allclose(chunk, [[0.2, 0.8, 0.36, -0.25]] * 2)  # toward the second gate, whose middle is 0.3 m above
 
 
 def test_it_keeps_what_the_network_said_for_viewers(policy):
@@ -57,10 +57,31 @@ def test_it_keeps_what_the_network_said_for_viewers(policy):
 
 
 def test_a_directive_that_changes_in_flight_is_followed(policy):
-    before = policy.act(OBSERVATION)
-    after = policy.act(replace(OBSERVATION, instruction="Fly through the gate with letter b"))
-    assert before[0, 2] != after[0, 2]
-    assert np.array_equal(policy.act(OBSERVATION), before)
+    texts = (TEXT, "Fly through the gate with letter b", TEXT)
+    chosen = []
+    for text in texts:
+        policy.act(replace(OBSERVATION, instruction=text))
+        chosen.append(policy.last.choice.argmax())
+    assert chosen[0] == chosen[2] != chosen[1]
+
+
+def test_near_a_gate_it_flies_to_the_height_of_its_opening(policy, monkeypatch):
+    see = policy.model.eyes.see
+    climbs = []
+    for v, distance in ((160.0, 2.0), (90.0, 2.0), (160.0, 1.0), (160.0, 8.0), (90.0, 8.0)):
+
+        def seeing(images, v=v, distance=distance):
+            sight = see(images)
+            gates = sight.gates.copy()
+            gates[..., 1], gates[..., 3] = v, distance
+            return replace(sight, gates=gates)
+
+        monkeypatch.setattr(policy.model.eyes, "see", seeing)
+        climbs.append(policy.act(OBSERVATION)[0, 2])
+    low, high, nearer, far, far_high = climbs
+    assert low < 0 < high
+    assert nearer > low  # the same place in the image is less far below it
+    assert far == far_high  # where only the network knows
 
 
 @pytest.mark.parametrize(("text", "says"), [("", "empty"), (" \n\t", "empty"), ("gate " * 2000, "10000 characters")])

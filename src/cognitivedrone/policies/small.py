@@ -335,15 +335,16 @@ def _judged(
 ) -> tuple[FloatArray, float]:
     """Logits (3,) of the gates by what the sentence asks for, and the probability that one of them is it.
 
-    A directive, and whatever else names a gate by its looks alone, is about nothing but the looks.
+    A directive, and whatever else names a gate by its looks alone, is about nothing but the looks. Whoever gives a
+    directive, which names all of them, knows that the gate is there: an obstacle before it hides its shape and size,
+    and may itself be taken for a gate, of a colour that is there twice then.
     """
     colors = looks[:, : len(COLORS)].argmax(axis=1)
     if (asked := looks_asked(frame.text)) is not None:
         fits = fits_of(asked, looks) * there
-        # An obstacle before a gate hides its shape and size, and may itself be taken for a gate, of a colour that is
-        # there twice then.
-        clear = len({*colors[there].tolist()}) == there.sum()
-        return _SURE + np.log(fits + _LEAST), 1 - float((1 - np.cbrt(fits)).prod()) if clear else 1.0
+        present = 1 - float((1 - (fits if None in asked else np.cbrt(fits))).prod())
+        doubled = None not in asked and len({*colors[there].tolist()}) < there.sum()
+        return _SURE + np.log(fits + _LEAST), 1.0 if doubled else present
     panels, classes = readings[:3], None
     if frame.opinions is not None:
         frame.opinions.look(frame.image, boxes[:3, :3][there], colors[there].tolist(), _LOOKS)
