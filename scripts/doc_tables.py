@@ -61,8 +61,8 @@ PILOTS_AND_BASELINES = ("r1", "small", "colour_seeker_oracle", "colour_seeker", 
 FLOWN: Final = frozenset(
     (
         *("ablation", "audit_r1", "audit_r1_300", "audit_race", "audit_small", "bench_time", "clutter", "first_score"),
-        *("gates", "harnesses", "inference", "live_page", "missions", "moving", "photographs", "real_time"),
-        *("reasoner_alone", "serving", "swaying", "teaching", "teaching_20"),
+        *("gates", "harnesses", "inference", "live_page", "losses", "missions", "moving", "photographs"),
+        *("real_time", "reasoner_alone", "say", "serving", "swaying", "teaching", "teaching_20"),
     )
 )
 """Measurements that depend on the packaged weights: pages say where those have changed since."""

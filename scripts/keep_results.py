@@ -7,7 +7,8 @@ RESULTS/reasoner_alone.json, and OUT/audit/PILOT becomes RESULTS/audit_PILOT.jso
 times of runs, RESULTS/training_times.json those of the training runs in OUT. Partial runs are left out, and named.
 
 With PAGES, the folder of the files that pages show, they are copied there. Runs of other weights than the new ones stay
-there as PILOT_before.json: pages show them, marked, where there is no newer run.
+there as PILOT_before.json: pages show them, marked, where there is no newer run. Runs of the same weights that were not
+flown again stay where they are.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from cognitivedrone.audit.catalogue import AUDITS
 from cognitivedrone.audit.run import AUDIT_FILE
 from cognitivedrone.benchmark.measurements import Measurement, measurement, write_measurement
 from cognitivedrone.benchmark.reasoning.reason import SUMMARY_FILE
+from cognitivedrone.benchmark.scores.codec import dumps
 from cognitivedrone.benchmark.scores.results import RESULTS_FILE, read_results
 from cognitivedrone.benchmark.submission import submission_of, write_submission
 from cognitivedrone.errors import RunError
@@ -49,17 +51,22 @@ def main(out: Path, results: Path, pages: Path | None = None) -> None:
         keep_audit(path, results / f"audit_{path.parent.name}.json")
     for path in sorted(results.glob("*.json")) if pages else []:
         shown = pages / path.name
-        if shown.is_file() and weights_of(shown) - weights_of(path):
-            keep_former(shown, pages / f"{path.stem}_before.json", path)
-        shutil.copyfile(path, shown)
+        if not (shown.is_file() and weights_of(path)):
+            shutil.copyfile(path, shown)
+        elif weights_of(shown) - weights_of(path):
+            if len(not_again(shown, path)) >= len(not_again(before := pages / f"{path.stem}_before.json", path)):
+                shown.replace(before)
+            shutil.copyfile(path, shown)
+        else:
+            document = json.loads(path.read_text(encoding="utf-8"))
+            document["runs"] += not_again(shown, path)
+            shown.write_text(dumps(document) + "\n", encoding="utf-8")
 
 
-def keep_former(shown: Path, before: Path, new: Path) -> None:
-    """Of two files of former weights, keep the one with more runs that were not flown again."""
+def not_again(former: Path, new: Path) -> list[dict[str, Any]]:
+    """The runs of a former file that the new one does not hold."""
     flown = [flown_as(run) for run in runs_in(new)]
-    left = [sum(flown_as(run) not in flown for run in runs_in(path)) for path in (shown, before)]
-    if left[0] >= left[1]:
-        shown.replace(before)
+    return [run for run in runs_in(former) if flown_as(run) not in flown]
 
 
 def runs_in(path: Path) -> list[dict[str, Any]]:

@@ -185,6 +185,11 @@ def test_runs_of_other_weights_stay_beside_the_new_ones(out: Path, tmp_path: Pat
         keep_results.main(out, tmp_path / "results", pages)
         assert not (pages / "small_before.json").exists()
     former = json.loads((pages / "small.json").read_text())
+    elsewhere = json.loads(json.dumps(former["runs"][0]))
+    elsewhere["run"]["options"]["airframe"] = "iris"
+    (pages / "small.json").write_text(json.dumps({**former, "runs": [*former["runs"], elsewhere]}))
+    keep_results.main(out, tmp_path / "results", pages)  # of the same weights, what was not flown again stays
+    assert json.loads((pages / "small.json").read_text())["runs"] == [*former["runs"], elsewhere]
     former["runs"][0]["run"]["options"]["model"] = "of before"
     (pages / "small.json").write_text(json.dumps(former))
     keep_results.main(out, tmp_path / "results", pages)
