@@ -6,7 +6,7 @@ import pytest
 
 from cognitivedrone.apps.understanding.request import Understanding
 from cognitivedrone.apps.understanding.sentence import distance
-from cognitivedrone.models.words.refusals import normalised, wanted_and_refused
+from cognitivedrone.models.words.refusals import normalised, things_denied, wanted_and_refused
 
 UNDERSTANDING = Understanding(
     {"robin": frozenset({"birds/robin", "birds/robin_2"}), "blue tit": frozenset({"birds/blue-tit"})}
@@ -176,5 +176,17 @@ def test_nothing_is_near_to_a_word_that_means_no_thing(word):
 
 def test_refusals_are_told_from_wishes():
     assert wanted_and_refused("avoid the red gate and choose the fruit") == ("choose the fruit", " the red gate ")
+    for sentence, parts in {
+        "fly to the dog, not the cat": ("go to the dog", ("the cat",)),
+        "anything but the banana": ("", ("the banana",)),
+        "neither the cat nor the bus": ("", ("the cat", "the bus")),
+        "I don't want the cat. take the horse": ("i do, take the horse", ("want the cat",)),
+        "no pizza, and not the koala, the horse": ("and, the horse", ("pizza", "the koala")),
+        "the bird that cannot fly": ("the bird that cannot fly", ()),
+        "the animal with no legs": ("the animal with no legs", ()),
+        "go past the tree to the car": ("go past the tree to the car", ()),
+        "there is no place like home": ("there is no place like home", ()),
+    }.items():
+        assert things_denied(sentence) == parts
     assert normalised("Don't goooo!! Caf\N{LATIN SMALL LETTER E WITH ACUTE}") == "do not goo!! cafe"
     assert [distance(a, b, 2) for a, b in (("gaet", "gate"), ("elefant", "elephant"), ("cat", "horse"))] == [1, 2, 3]

@@ -37,9 +37,9 @@ _CLAUSE_ENDS = re.compile(
     r"and (?=go|fly|take|choose|pick|find|head|aim)|sondern|mais|sino)\b|"
     r"(?<!not )(?<!to )\b(?=(?:go|fly|head) (?:to|through|thru|for)\b|(?:choose|pick|take) the\b)"
 )
-_MENTIONED = re.compile(r"\s*(?:the|an?|any|one|that|this)\b")
+_MENTIONED = re.compile(r"\s*(?:(?:want|like|need|mean|take|choose|pick)\s+)?(?:the|an?|any|one|that|this)\b")
 _OF_A_THING = re.compile(
-    r"\b(?:can|could|does|did|is|are|was|were|would|will|has|have|had|that|which|who|it|i|you|we|they|he|she|people)"
+    r"\b(?:can|could|does|did|is|are|was|were|would|will|has|have|had|with|that|which|who|it|i|you|we|they|he|she|people)"
     r"(?: do)?\s+$"
 )
 _MOST = 8  # things denied
@@ -85,7 +85,8 @@ def _clauses(text: str, *, things: bool = False) -> Iterator[tuple[str, str]]:
             refusals = (
                 each
                 for each in refusals
-                if _MENTIONED.match(clause, each.end()) or not _OF_A_THING.search(clause[: each.start()])
+                if each[0] != "past"  # on the way to something
+                and (_MENTIONED.match(clause, each.end()) or not _OF_A_THING.search(clause[: each.start()]))
             )
         refusal = next(refusals, None)
         yield (clause[: refusal.start()], clause[refusal.end() :]) if refusal else (clause, "")
