@@ -243,6 +243,7 @@ def test_everyday_words_for_arithmetic(sentence, result):
         ("three fives plus two", 17),
         ("ten minus two, and what's half of that", 4),
         ("how much is six and six", 12),
+        ("seven doubled", 14),
         ("sixteen plus.. no, sixteen minus nine", 7),
         ("twenty-one less twenty", 1),
         ("the dog and two cats", None),

@@ -36,9 +36,9 @@ _SIGNS: Final[dict[str, Callable[[Any, Any], Fraction]]] = {
     word: sign
     for sign, words in {
         operator.add: "+ plus add added adding more another extra later top put stick bump increase joined found bought"
-        " won earned hopped gained received",
+        " won earned hopped gained received further older climb",
         operator.sub: "- minus less fewer take took taken away off ate eaten lose loses lost gave give hid hide sold"
-        " spent drop dropped knock remove removed without broke used subtract deduct stole stolen",
+        " spent drop dropped knock remove removed without broke used subtract deduct stole stolen break younger",
         operator.mul: "* × times multiplied",
         operator.truediv: "/ ÷ divided shared split",
     }.items()
@@ -70,9 +70,10 @@ def told(sentence: str, board: int | None = None) -> int | None:
             value = number
         steps += made
         since = end
-        for at, word in enumerate(ahead[:-1]):  # "double it", "half of that"
-            if word in _FACTORS and {"it", "that"} & set(ahead[at + 1 : at + 3]):
-                value, steps = value * _FACTORS[word], steps + 1
+        for at, word in enumerate(ahead):  # "double it", "half of that", "doubled"
+            factor = _FACTORS.get(word.removesuffix("d"), 1)
+            if word.endswith("d") or {"it", "that"} & set(ahead[at + 1 : at + 3]):
+                value, steps = value * factor, steps + (factor != 1)
     return int(value) if steps and value.denominator == 1 and 0 <= value < 10_000 else None
 
 
