@@ -1,4 +1,4 @@
-"""Set up .venv and score the packaged policy, and R1, on the smoke suite: `make bench`, the same on every system without make.
+"""Set up .venv and score the packaged policy, and R1, on the smoke suite: `make bench`, on any system without make.
 
 Usage: python3 scripts/bench.py (on Windows: python scripts/bench.py)
 """
