@@ -246,6 +246,8 @@ def test_everyday_words_for_arithmetic(sentence, result):
         ("seven doubled", 14),
         ("sixteen plus.. no, sixteen minus nine", 7),
         ("twenty-one less twenty", 1),
+        ("I have ten apples and no pears, ate two. Sorry, which gate?", 8),
+        ("50001 lose 50000", 1),
         ("the dog and two cats", None),
         ("more than one but fewer than four", None),
         ("seven sweets, and I ate the whole seven", 0),

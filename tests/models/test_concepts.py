@@ -57,6 +57,11 @@ def test_a_concept_that_no_thing_stands_for_is_heard(concepts):
         ("neither the hammer nor the koala", None, ["hammer", "koala"]),
         ("the koala that does not sleep", "koala", []),
         ("what comes when a house burns", "fire_engine", []),
+        ("Fly to the hammer, no wait the koala", "koala", []),
+        ("the koala. sorry, not the koala, the hammer", "hammer", ["koala"]),
+        ("to the hammer, sorry for the trouble", "hammer", []),
+        ("never mind the hammer, the koala", "koala", ["hammer"]),
+        ("the koala i mean", "koala", []),
     ],
 )
 def test_what_is_denied_is_not_what_is_wanted(concepts, sentence, wanted, denied):

@@ -123,7 +123,7 @@ class Mind:
         shares /= shares.sum(axis=1, keepdims=True)
         wanted, denied = self.concepts.hear(instruction)
         told = np.zeros(len(panels), np.float32) if wanted is None else _likely(shares, classes, wanted)
-        for each in denied:
+        for each in denied:  # as much as both evidences of what is wanted
             told += 2 * np.log(1 - _DENIED * shares_of(_likely(shares, classes, each)))
         return told
 

@@ -66,8 +66,10 @@ class Decision:
     """(16, 16) its distance along the camera's axis, m, if there is one."""
 
     def without_numbers(self) -> str | None:
-        """The name of the first part that holds a value which is not a number; none if there is none."""
-        parts = ((field.name, getattr(self, field.name)) for field in fields(self))
+        """The name of the first part beside the action, which follows from them, that holds a value which is not a
+        number; none if there is none.
+        """
+        parts = ((field.name, getattr(self, field.name)) for field in fields(self)[1:])
         return next((name for name, value in parts if value is not None and np.isnan(value).any()), None)
 
 
@@ -244,14 +246,14 @@ class Small(Policy):
     def _follow(self, frame: _Frame, decision: Decision) -> ActionChunk:
         """The action for a frame, from what was decided on it."""
         self.last, self._state = decision, frame.state
-        if not np.isfinite(decision.action).all():
-            raise NonFiniteAction(
-                f"the model answered {decision.action[0].tolist()} to the state {frame.state.tolist()}"
-            )
         if name := decision.without_numbers():  # the drone would look for a gate until its time is over
             raise NonFiniteAction(
                 f"the model's {name} holds values that are not numbers, for the state {frame.state.tolist()}; if it is"
                 " so for every frame, its weights are damaged: train or download it again"
+            )
+        if not np.isfinite(decision.action).all():
+            raise NonFiniteAction(
+                f"the model answered {decision.action[0].tolist()} to the state {frame.state.tolist()}"
             )
         self.declines = self._presence.update(decision)
         action = self._avoiding(frame, decision)

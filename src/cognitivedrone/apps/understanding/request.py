@@ -16,8 +16,8 @@ from types import MappingProxyType
 from cognitivedrone.apps.understanding import lexicon, persons, signs
 from cognitivedrone.apps.understanding.lexicon import KIND_WORDS, PLACES, Predicate
 from cognitivedrone.apps.understanding.predicates import DENIALS, close_together, denied_alike, says_more, together
-from cognitivedrone.apps.understanding.sentence import Speller, corrected_parts, placed, stem, words_of
-from cognitivedrone.models.words.refusals import normalised, wanted_and_refused
+from cognitivedrone.apps.understanding.sentence import Speller, placed, stem, words_of
+from cognitivedrone.models.words.refusals import corrected_parts, normalised, wanted_and_refused
 from cognitivedrone.tasks.directives import parse_directive
 from cognitivedrone.tasks.facts import GROUPS, KIND_OF
 from cognitivedrone.tasks.knowledge.tables import EMPTY, table
@@ -119,7 +119,7 @@ class Understanding:
         known = lexicon.heard(self.names_of_own)
         if len(typed) > 1 and not any(word in known or word.isdecimal() for word in typed):
             return Request(sentence, unknown=tuple(dict.fromkeys(typed)))
-        found = [self._part(sentence, part) for part in corrected_parts(text)] or [Request(sentence)]
+        found = [self._part(sentence, part) for _, part in corrected_parts(text)]
         return next((request for request in found if request.understood), found[-1])
 
     @functools.cached_property

@@ -1,4 +1,4 @@
-"""Sentences as people type them: in words without typing errors, cut at corrections.
+"""Sentences as people type them: in words without typing errors.
 
 Everything here is about spelling and form. What the words mean is in `request.py`.
 """
@@ -6,16 +6,9 @@ Everything here is about spelling and form. What the words mean is in `request.p
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Sequence
 
 _WORD = re.compile(r"[a-z]+|\d+|[^\W\d_a-z]+")
-_CORRECTIONS = re.compile(
-    r"\b(?:no+[ ,.!-]+wait|wait[ ,.!-]+no+|oh wait|wait|i mean|i meant|sorry|scratch that|strike that|make that|"
-    r"actually|or rather|correction|never ?mind|nvm|forget (?:that|it|about it)|i changed my mind|changed my mind|"
-    r"on second thoughts?|nope|nah|oops|whoops|hang on|hold on|cancel (?:that|it)|my (?:bad|mistake)|"
-    r"let me rephrase(?: that)?|no(?= *[,.!;-])|(?<=[,.;!?] )no(?= (?:the|an?|to|go|fly|i want)\b))\b|\*(?!\s*\d)|"
-    r"[,.;!?]+\s(?=[^,.;!?]*\binstead\b(?! of))"
-)
 _NUMBERED = re.compile(r"\b(gate|hoop|portal) (?:number |no\.? |nr\.? |# ?)?([123])\b(?!\s*[-+*/x.,]\s*\d)")
 """As the program itself names gates: "gate 2"."""
 _ORDINALS = re.compile(
@@ -37,17 +30,6 @@ def stem(word: str) -> str:
     if word.endswith(("sses", "shes", "ches", "xes", "oes")):
         return word[:-2]
     return word[:-1] if word.endswith("s") and not word.endswith(("ss", "us", "is")) and len(word) > 3 else word
-
-
-def corrected_parts(text: str) -> Iterator[str]:
-    """What is left of a normalised text after each correction ("no wait", "I mean"), the last correction first."""
-    ends = [0, *(match.end() for match in _CORRECTIONS.finditer(text))]
-    starts = [*(match.start() for match in _CORRECTIONS.finditer(text)), len(text)]
-    yield from (
-        text[begin:end]
-        for begin, end in reversed(list(zip(ends, starts, strict=True)))
-        if text[begin:end].strip(" ,.!?-")
-    )
 
 
 def placed(text: str) -> str:

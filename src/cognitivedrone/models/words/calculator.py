@@ -33,6 +33,7 @@ from cognitivedrone.models.words.number_words import (
     spans_of,
     tokens_of,
 )
+from cognitivedrone.models.words.refusals import corrected_parts
 
 LARGEST: Final = 10**6
 """Largest magnitude of a result; anything larger counts as none."""
@@ -43,10 +44,6 @@ _READINGS = ("operand", "expression")
 """What "twice" and the like may take: the next operand, or all that follows."""
 _SIGNS = {"+": "_PLUS", "-": "_MINUS", "*": "_TIMES", "(": "_OPEN", ")": "_CLOSE"}
 _EXPRESSION = re.compile(r"\s*(?:(\d+)|([-+*()]))")
-_CORRECTION = re.compile(
-    r"\b(?:no,? wait|wait,? no|no,? sorry|sorry|i mean|i meant|scratch that|forget that|correction|make that|rather)\b",
-    re.IGNORECASE,
-)
 _EXCLUDED = re.compile(
     r"\b(?:(?<!is )not|instead of|rather than|forget|skip|ignore|except|unlike)(?: the)?"
     r"(?: (?:sum|result|answer|value|gate|one|number)(?: of| to| with)?)?\W*$",
@@ -182,9 +179,10 @@ def calculate(sentence: str, board: int | None = None) -> int | None:
     spans = [span for span in spans_of(sentence) if not _EXCLUDED.search(sentence[: span.start])]
     if not spans:
         return None
-    corrected = max((match.end() for match in _CORRECTION.finditer(sentence)), default=0)
-    later = [span for span in spans if span.start >= corrected]
-    values = {_span_value(span, board) for span in later or spans}
+    for begin, _ in corrected_parts(sentence):
+        if later := [span for span in spans if span.start >= begin]:
+            break
+    values = {_span_value(span, board) for span in later}
     (value,) = values if len(values) == 1 else (None,)
     return value
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError
 from cognitivedrone.models.onnx_file import beside, check_graph, count_of, field_of, numbers_of, open_model
-from cognitivedrone.models.words.refusals import things_denied
+from cognitivedrone.models.words.refusals import corrected_parts, corrects, normalised, things_denied
 from cognitivedrone.models.words.text_encoder import TextEncoderModel
 
 CONCEPTS: Final = "concepts"
@@ -115,8 +115,10 @@ class Concepts:
         nothing else that is known.
         """
         if self._heard[0] != instruction:  # flights that fork share it
-            wanted, denied = things_denied(instruction)
-            asked, *others = self._fits([wanted or instruction, *denied])
+            parts = corrected_parts(normalised(instruction)) if corrects(instruction) else ()
+            said = next((part for _, part in parts if self.fits(part).best > _NAMED), instruction)
+            wanted, denied = things_denied(said)
+            asked, *others = self._fits([wanted or said, *denied])
             named = tuple(fits for fits in others if fits.best > _NAMED)
             self._heard = instruction, asked if not named or (wanted and asked.best > _NAMED) else None, named
         return self._heard[1:]

@@ -1,4 +1,4 @@
-"""What a sentence asks for, and what it says that it does not mean: "not the cat", "anything but a pear".
+"""What a sentence asks for, and what it says that it does not mean: "not the cat", "anything but a pear", "no wait".
 
 Everything here is about form. What the words mean is for others.
 """
@@ -37,6 +37,15 @@ _CLAUSE_ENDS = re.compile(
     r"and (?=go|fly|take|choose|pick|find|head|aim)|sondern|mais|sino)\b|"
     r"(?<!not )(?<!to )\b(?=(?:go|fly|head) (?:to|through|thru|for)\b|(?:choose|pick|take) the\b)"
 )
+_CORRECTIONS = re.compile(
+    r"\b(?:(?:no+|oh)[ ,.!-]+wait|wait[ ,.!-]+no+|no,? sorry|i meant?(?! to\b)|scratch that|strike that|make that|"
+    r"(?:or|no,?) rather|forget (?:that|it|about it)(?=\W*(?:[,.;!?]|$))|never ?mind(?=\W*(?:[,.;!?]|$))|nvm|"
+    r"(?:i )?changed my mind|on second thoughts?|cancel (?:that|it)|my (?:bad|mistake)|let me rephrase(?: that)?|"
+    r"no(?= ?[,!;])|(?<![^,.;:!?-] )(?:wait(?! (?:for|until|till|here|there|at|outside)\b)|sorry|actually|correction|"
+    r"nope|nah|o+ps|whoops|hang on|hold on|no(?=\.| -| (?:the|an?|to|go|fly|i want)\b)))(?!\w)|(?<!\S)\*(?=[a-z])|"
+    r"[,.;!?]+\s(?=[^,.;!?]*\binstead\b(?! of))",
+    re.IGNORECASE,
+)
 _MENTIONED = re.compile(r"\s*(?:(?:want|like|need|mean|take|choose|pick)\s+)?(?:the|an?|any|one|that|this)\b")
 _OF_A_THING = re.compile(
     r"\b(?:can|could|does|did|is|are|was|were|would|will|has|have|had|with|that|which|who|it|i|you|we|they|he|she|people)"
@@ -54,6 +63,21 @@ def normalised(sentence: str) -> str:
     for pattern, shown in _SHORTENED:
         text = re.sub(pattern, shown, text)
     return re.sub(r"([a-z])\1{2,}", r"\1\1", text)
+
+
+def corrects(text: str) -> bool:
+    """Whether a text takes back something that it has said."""
+    return _CORRECTIONS.search(text) is not None
+
+
+def corrected_parts(text: str) -> list[tuple[int, str]]:
+    """What is left of a text after each correction ("no wait", "I mean"), the last correction first, and where it
+    begins; at least the text itself.
+    """
+    found = [*_CORRECTIONS.finditer(text)]
+    begins, ends = [0, *(each.end() for each in found)], [*(each.start() for each in found), len(text)]
+    parts = [(begin, text[begin:end]) for begin, end in zip(begins, ends, strict=True)]
+    return [(begin, part) for begin, part in reversed(parts) if part.strip(" ,.!?-")] or [(0, text)]
 
 
 def wanted_and_refused(text: str) -> tuple[str, str]:

@@ -1,8 +1,8 @@
 """Arithmetic that is told as a story: "twenty on the bus; nine got off, two hopped on", "double five, two more on top".
 
 The calculator's grammar takes no such sentence. Here it is read from left to right: a number, and then one change after
-the other, each by the word beside its number that tells whether something is added or taken. That is a guess: whoever
-asks should see the result somewhere before believing it.
+the other, each by the word beside its number that tells whether something is added or taken. That is a guess: the
+reasoner believes it only where a panel shows the result; to the policy it is one more thing that may be meant.
 """
 
 from __future__ import annotations
@@ -14,12 +14,11 @@ from fractions import Fraction
 from typing import Any, Final
 
 from cognitivedrone.models.words.number_words import TENS, WORDS
+from cognitivedrone.models.words.refusals import corrected_parts
 
-_TOKEN = re.compile(r"[a-z]+|\d{1,4}|[.,;:!?+*/×÷-]")
+_TOKEN = re.compile(r"[a-z]+|\d+|[.,;:!?+*/×÷-]")
 _STOPS: Final = frozenset(".,;:!?")
-_LONGEST = 60  # tokens
-_AGAIN = re.compile(r"\b(?:no|wait|sorry|i meant?|scratch that|make that),? ")
-"""What follows the last of these is what is meant."""
+_LONGEST, _DIGITS = 60, 9  # tokens of a sentence, digits of a number
 _ADDS = re.compile(r"how (?:much|many)|together|in (?:all|total)|all in all|\bsum\b|\bmakes?\b|comes? to")
 """Where "and" adds."""
 _NUMBERS: Final = {word: int(value) for word, value in WORDS.items()} | {"couple": 2, "dozen": 12}
@@ -50,11 +49,12 @@ def told(sentence: str, board: int | None = None) -> int | None:
     """The result of a sentence that tells a calculation step by step; none for any other, and for no integer of 0 or
     more. `board` is the value of the sum on the board.
     """
-    text = _AGAIN.split(sentence.lower().replace("ty-", "ty "))[-1]
-    tokens = _TOKEN.findall(text)
-    if len(tokens) > _LONGEST:
-        return None
-    found = list(_numbers(tokens, board))
+    for _, text in corrected_parts(sentence.lower().replace("ty-", "ty ")):
+        tokens = _TOKEN.findall(text)
+        if len(tokens) > _LONGEST:
+            return None
+        if found := list(_numbers(tokens, board)):
+            break
     value, since, steps = Fraction(0), 0, 0
     for place, (start, end, number, made) in enumerate(found):
         ahead = tokens[end : found[place + 1][0] if place + 1 < len(found) else None]
@@ -102,7 +102,7 @@ def _numbers(tokens: Sequence[str], board: int | None) -> Iterator[tuple[int, in
 
 
 def _value(word: str) -> int | None:
-    return int(word) if word.isdecimal() else _NUMBERS.get(word)
+    return int(word[:_DIGITS]) if word.isdecimal() else _NUMBERS.get(word)
 
 
 def _clause(tokens: Sequence[str]) -> Sequence[str]:
