@@ -108,7 +108,6 @@ if [[ $everything ]]; then
   measure exports exports "$out/paper-set" "$out/exports"
   measure reading reading --reader "$out/places/checkpoint.safetensors" --sets held-out
   measure data_reading data_reading "$out/flights-${sets[-1]}"
-  measure ablation ablation "$out/ablation" --processes "$processes"
   read -ra roots <<< "${SYSTEMS:-}"
   measure systems systems --wheel "$python" ${roots[@]:+--root "${roots[@]}"}
   measure serving_load serving --load 600

@@ -60,7 +60,7 @@ PILOTS_AND_BASELINES = ("r1", "small", "colour_seeker_oracle", "colour_seeker", 
 
 FLOWN: Final = frozenset(
     (
-        *("ablation", "audit_r1", "audit_r1_300", "audit_race", "audit_small", "bench_time", "clutter", "first_score"),
+        *("audit_r1", "audit_r1_300", "audit_race", "audit_small", "bench_time", "clutter", "first_score"),
         *("gates", "harnesses", "inference", "live_page", "losses", "missions", "moving", "photographs"),
         *("real_time", "reasoner_alone", "say", "serving", "swaying", "teaching", "teaching_20"),
     )
@@ -251,18 +251,6 @@ TABLES: Final[dict[str, Description]] = {
             )
             for recipe in ("flight", "small", "reader", "selector", "language", "teach")
         ),
-    ),
-    "ablations": rows_of(
-        "ablation",
-        {
-            "variant": "{variant}",
-            "instruction: passed": "{passed:.1%}",
-            "choice accuracy": "{choice_accuracy:.1%}",
-            "success given choice": "{pass_given_choice:.1%}",
-            "directive: passed": "{directive_passed:.1%}",
-            "L1 error": "{l1:.3f}",
-            "training, min": "{training_min:.0f}",
-        },
     ),
     # docs/vehicles.md, docs/gymnasium.md
     "steps": rows_of("step_responses", {**STEPS, "max tilt deg": "{max_tilt_deg:.1f}"}),

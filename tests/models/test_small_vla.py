@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from typing import Any, get_args
+from typing import Any
 
 import pytest
 import torch
@@ -13,7 +13,7 @@ from torch import Tensor
 from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.eyes.finder import CELLS, LOOKS, SLOTS, STRIDE, Scene, crops
 from cognitivedrone.models.eyes.panel_reader import ReaderConfig
-from cognitivedrone.models.small_vla import Eyes, FlightHead, Head, SmallVLA, SmallVLAConfig
+from cognitivedrone.models.small_vla import Eyes, FlightHead, SmallVLA, SmallVLAConfig
 from cognitivedrone.models.words.language import LanguageConfig
 
 SCHEMA = AttributeSchema(
@@ -49,11 +49,9 @@ def inputs(count: int = 3, seed: int = 1) -> tuple[Tensor, Tensor, Tensor]:
     return image, state, words
 
 
-@pytest.mark.parametrize("head", get_args(Head))
 @pytest.mark.parametrize("chunk", [1, 3])
-@pytest.mark.parametrize("image_size", [128, 256])
-def test_forward_gives_actions_and_a_choice(head: Head, chunk: int, image_size: int) -> None:
-    made = network(head=head, chunk=chunk, image_size=image_size)
+def test_forward_gives_actions_and_a_choice(chunk: int) -> None:
+    made = network(chunk=chunk)
     with torch.no_grad():
         action, choice = made(*inputs())
     assert (action.shape, choice.shape) == ((3, chunk, 4), (3, SLOTS + 1))
@@ -130,9 +128,8 @@ def test_find_gives_the_three_highest_peaks() -> None:
 
 
 @pytest.mark.parametrize("chosen", range(SLOTS + 1))
-@pytest.mark.parametrize("head", get_args(Head))
-def test_the_chosen_gate_s_action_comes_out(chosen: int, head: Head, monkeypatch: pytest.MonkeyPatch) -> None:
-    made = network(head=head, chunk=2)
+def test_the_chosen_gate_s_action_comes_out(chosen: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = network(chunk=2)
     logits = torch.zeros(3, 1, SLOTS + 1)
     logits[..., chosen] = 5.0
     monkeypatch.setattr(made.flight, "choose", lambda *_: logits)
@@ -220,13 +217,17 @@ def test_the_reader_stays_as_it_was_trained() -> None:
         assert torch.equal(value, before[name]), name
 
 
-def test_bins_and_values_decode_to_the_ends_of_the_range() -> None:
-    tokens, values = network(head="tokens").flight, network().flight
-    raw = torch.full((2, 4, 256), -50.0)
-    raw[0, :, 0] = raw[1, :, 255] = 50.0
-    torch.testing.assert_close(tokens.decode(raw), torch.stack([tokens.low, tokens.high]))
-    ends = torch.tensor([-1.0, 1.0])[:, None, None].expand(2, 4, 1)
-    torch.testing.assert_close(values.decode(3 * ends), torch.stack([values.low, values.high]))
+def test_values_decode_to_the_ends_of_the_range() -> None:
+    flight = network().flight
+    ends = torch.tensor([-1.0, 1.0])[:, None].expand(2, 4)
+    torch.testing.assert_close(flight.decode(3 * ends), torch.stack([flight.low, flight.high]))
+
+
+def test_a_former_network_is_one_of_today_where_it_had_no_choice() -> None:
+    former = CONFIG.facts() | {"image_size": 256, "head": "regression", "bins": 256}
+    assert SmallVLAConfig.of(former) == CONFIG
+    with pytest.raises(TypeError, match="head"):
+        SmallVLAConfig.of(former | {"head": "tokens"})
 
 
 @pytest.mark.parametrize("config", [CONFIG, replace(CONFIG, reader=None), CONFIG.reader, CONFIG.language])

@@ -12,7 +12,7 @@ and 8 values of a gate's look; L tokens of a sentence, W the width of the text e
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -34,8 +34,8 @@ from cognitivedrone.models.eyes.panel_reader import Probabilities, Reader, Reade
 from cognitivedrone.models.small_file import STATE
 from cognitivedrone.models.words.language import Language, LanguageConfig
 
-Head = Literal["tokens", "regression"]
-
+_FORMER = {"image_size": 256, "head": "regression", "bins": 256}
+"""What former networks said of themselves that is so of all now."""
 _STATE_SCALE = (1.5, 1.5, 1.0, 1.5, 1.0)
 
 
@@ -43,8 +43,6 @@ _STATE_SCALE = (1.5, 1.5, 1.0, 1.5, 1.0)
 class SmallVLAConfig:
     """Sizes and choices of the network. The model file describes its training data."""
 
-    image_size: int = 256
-    """Height and width of the processed image, pixels: 256, or 128 (reduced inside the network)."""
     backbone: tuple[int, int, int] = (32, 64, 128)
     """Channels at strides 4, 8 and 16."""
     blocks: int = 3
@@ -52,12 +50,10 @@ class SmallVLAConfig:
     reader: ReaderConfig | None = field(default_factory=ReaderConfig)
     """Its panel reader; without one it hears no sentences, and chooses among gates by their looks alone."""
     language: LanguageConfig = field(default_factory=LanguageConfig)
-    head: Head = "regression"
-    bins: int = 256
     chunk: int = 1
     """Control steps per inference."""
     action_low: tuple[float, ...] = (-2.0, -2.0, -1.5, -1.0)
-    """Lowest action (centre of the lowest bin), m/s and rad/s."""
+    """Lowest action, m/s and rad/s."""
     action_high: tuple[float, ...] = (2.0, 2.0, 1.5, 1.0)
 
     def facts(self) -> dict[str, Any]:
@@ -68,7 +64,9 @@ class SmallVLAConfig:
     def of(cls, facts: dict[str, Any]) -> SmallVLAConfig:
         """Read back what `facts` gave."""
         fields: dict[str, Any] = {
-            name: tuple(value) if isinstance(value, list) else value for name, value in facts.items()
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in facts.items()
+            if (name, value) not in _FORMER.items()
         }
         reader = fields["reader"]
         if reader is not None:
@@ -85,13 +83,12 @@ class Flight(nn.Module):
         third = config.backbone[2]
         self.prior = nn.Sequential(nn.Linear(third + GEOMETRY + STATE, 64), nn.ReLU(), nn.Linear(64, 1))
         self.nowhere = nn.Sequential(nn.Linear(third + STATE, 64), nn.ReLU(), nn.Linear(64, 1))
-        outputs = config.bins if config.head == "tokens" else 1
         self.action = nn.Sequential(
             nn.Linear(2 * third + GEOMETRY + STATE, 256),
             nn.ReLU(),
             nn.Linear(256, 256),
             nn.ReLU(),
-            nn.Linear(256, config.chunk * 4 * outputs),
+            nn.Linear(256, config.chunk * 4),
         )
         self.low: Tensor
         self.high: Tensor
@@ -108,21 +105,17 @@ class Flight(nn.Module):
         return torch.cat([logits, none.float()[:, None].expand(-1, logits.shape[1], -1)], dim=-1)
 
     def act(self, seen: Seen, state: Tensor) -> Tensor:
-        """Raw actions (B, S + 1, chunk, 4, bins or 1) toward each gate and, last, toward none of those in view."""
+        """Raw actions (B, S + 1, chunk, 4) toward each gate and, last, toward none of those in view."""
         nothing = torch.zeros_like(seen.geometry[:, :1])
         target = torch.cat([seen.cell, torch.zeros_like(seen.cell[:, :1])], dim=1)
         geometry = torch.cat([seen.geometry, nothing], dim=1)
         whole = seen.whole[:, None].expand(-1, SLOTS + 1, -1)
         raw: Tensor = self.action(torch.cat([target, whole, geometry, self._state(state, SLOTS + 1)], dim=-1))
-        return raw.view(state.shape[0], SLOTS + 1, self.config.chunk, 4, -1)
+        return raw.view(state.shape[0], SLOTS + 1, self.config.chunk, 4)
 
     def decode(self, raw: Tensor) -> Tensor:
-        """Actions (..., 4), m/s and rad/s, from `raw` (..., 4, bins or 1): the mean of the bins, or the value."""
-        if self.config.head == "regression":
-            share = (raw[..., 0].float().clamp(-1, 1) + 1) / 2
-        else:
-            places = torch.arange(self.config.bins, device=raw.device) / (self.config.bins - 1)
-            share = (raw.float().softmax(-1) * places).sum(-1)
+        """Actions (..., 4), m/s and rad/s, from `raw` (..., 4): -1 to 1 from the lowest to the highest."""
+        share = (raw.float().clamp(-1, 1) + 1) / 2
         return self.low + share * (self.high - self.low)
 
     def _state(self, state: Tensor, count: int | None = None) -> Tensor:
@@ -136,7 +129,7 @@ class SmallVLA(nn.Module):
     def __init__(self, config: SmallVLAConfig, schema: AttributeSchema) -> None:
         super().__init__()
         self.config, self.schema = config, schema
-        self.finder = Finder(config.backbone, config.blocks, config.image_size)
+        self.finder = Finder(config.backbone, config.blocks)
         self.reader = None if config.reader is None else Reader(config.reader, len(schema.names))
         self.probabilities = Probabilities(schema)
         self.language = None if config.reader is None else Language(config.language, schema)

@@ -19,16 +19,6 @@ SMALL = TrainRecipe(
     name="small", steps=4_000, decay_share=1 / 3, stream=StreamRecipe(typed=0.5, sentences=4, layouts=0.4)
 )
 
-_SHORT = replace(SMALL, name="ablation-regression", steps=1_000)
-_ABLATION = (
-    _SHORT,
-    replace(_SHORT, name="ablation-tokens", network=replace(_SHORT.network, head="tokens")),
-    replace(_SHORT, name="ablation-chunk2", stream=replace(_SHORT.stream, chunk=2)),
-    replace(_SHORT, name="ablation-chunk4", stream=replace(_SHORT.stream, chunk=4)),
-    replace(_SHORT, name="ablation-128px", network=replace(_SHORT.network, image_size=128)),
-    replace(_SHORT, name="ablation-instructions", stream=replace(_SHORT.stream, directives=False)),
-)
-
 RECIPES: dict[str, TrainRecipe] = {
     "small": SMALL,
     "race": replace(
@@ -54,9 +44,9 @@ RECIPES: dict[str, TrainRecipe] = {
         fly_every=4,
         fly_tasks=2,
     ),
-} | {recipe.name: recipe for recipe in _ABLATION}
-"""`small`: the packaged policy. `race`: the baseline without language. `debug`: the whole
-training path in seconds, for tests. `ablation-*`: a quarter of `small`, all but the first with one change."""
+}
+"""`small`: the packaged policy. `race`: the baseline without language. `debug`: the whole training path in seconds, for
+tests."""
 
 
 ALL_RECIPES: dict[str, Recipe] = {

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from torch import Tensor
 
 from cognitivedrone.models.eyes.finder import CELLS, SLOTS, Scene
 from cognitivedrone.models.eyes.panel_reader import ReaderConfig
-from cognitivedrone.models.small_vla import Head, SmallVLA
+from cognitivedrone.models.small_vla import SmallVLA
 from cognitivedrone.models.words.language import Language, LanguageConfig
 from cognitivedrone.models.words.scene_tokens import SceneTokenizer
 from cognitivedrone.models.words.text_encoder import encoder_of
@@ -41,7 +40,6 @@ WIDTH = 12
 LANGUAGE = LanguageConfig(size=WIDTH, width=16, layers=1, heads=2)
 READER = ReaderConfig(crop_size=32, panel_encoder=(8, 8, 8, 8), embedding=16)
 SCHEMA = AttributeIndex().schema
-VARIANTS = list(itertools.product(get_args(Head), (1, 3)))
 PARTS = ("heat", "place", "looks", "choice", "action")
 
 pytestmark = pytest.mark.usefixtures("one_thread", "made_small")
@@ -64,9 +62,9 @@ def batch(language_checkpoint: Path) -> Batch:
     raise AssertionError("no board in view")
 
 
-def loss_module(head: Head = "tokens", chunk: int = 1, weights: LossWeights | None = None) -> SmallVlaLosses:
+def loss_module(chunk: int = 1, weights: LossWeights | None = None) -> SmallVlaLosses:
     torch.manual_seed(0)
-    network = SmallVLA(replace(DEBUG.network, language=LANGUAGE, reader=READER, head=head, chunk=chunk), SCHEMA)
+    network = SmallVLA(replace(DEBUG.network, language=LANGUAGE, reader=READER, chunk=chunk), SCHEMA)
     for part in (network.reader, network.language):
         assert part is not None
         part.requires_grad_(requires_grad=False)
@@ -85,9 +83,9 @@ def as_in_training(taught: SmallVlaLosses, batch: dict[str, Tensor]) -> tuple[Te
     return total, measures
 
 
-@pytest.mark.parametrize(("head", "chunk"), VARIANTS)
-def test_the_loss_is_finite_and_teaches_every_parameter(batch: Batch, head: Head, chunk: int) -> None:
-    taught = loss_module(head, chunk)
+@pytest.mark.parametrize("chunk", [1, 3])
+def test_the_loss_is_finite_and_teaches_every_parameter(batch: Batch, chunk: int) -> None:
+    taught = loss_module(chunk)
     total, measures = as_in_training(taught, tensors(batch, chunk))
     weights = LossWeights()
     assert set(measures) == {*PARTS, "choice accuracy"}
@@ -104,9 +102,9 @@ def test_the_loss_is_finite_and_teaches_every_parameter(batch: Batch, head: Head
         assert parameter.grad.abs().max() > 0, name
 
 
-@pytest.mark.parametrize(("head", "chunk"), VARIANTS)
-def test_every_part_of_the_loss_falls_on_a_batch_that_is_learned_by_heart(batch: Batch, head: Head, chunk: int) -> None:
-    taught, fixed = loss_module(head, chunk), tensors(batch, chunk)
+@pytest.mark.parametrize("chunk", [1, 3])
+def test_every_part_of_the_loss_falls_on_a_batch_that_is_learned_by_heart(batch: Batch, chunk: int) -> None:
+    taught, fixed = loss_module(chunk), tensors(batch, chunk)
     optimizer = torch.optim.AdamW([each for each in taught.parameters() if each.requires_grad], 0.01)
     torch.manual_seed(1)
     history = []
@@ -220,14 +218,13 @@ def test_slots_are_the_cells_of_the_gates(batch: Batch) -> None:
 # ---- actions
 
 
-@pytest.mark.parametrize(("head", "chunk"), VARIANTS)
-def test_what_is_decoded_from_the_best_answer_is_the_action(head: Head, chunk: int) -> None:
-    network = loss_module(head, chunk).network.flight
+@pytest.mark.parametrize("chunk", [1, 3])
+def test_what_is_decoded_from_the_best_answer_is_the_action(chunk: int) -> None:
+    network = loss_module(chunk).network.flight
     torch.manual_seed(2)
     share = torch.rand(6, chunk, 4) * 0.9 + 0.05  # bells are cut off at the ends
     target = network.low + share * (network.high - network.low)
-    bins = network.config.bins if head == "tokens" else 1
-    raw = torch.zeros(6, chunk, 4, bins, requires_grad=True)
+    raw = torch.zeros(6, chunk, 4, requires_grad=True)
     optimizer = torch.optim.LBFGS([raw], max_iter=300, line_search_fn="strong_wolfe")
 
     def closure() -> Tensor:
@@ -243,17 +240,9 @@ def test_what_is_decoded_from_the_best_answer_is_the_action(head: Head, chunk: i
     assert ((network.decode(raw.detach()) - target).abs() <= half_a_bin).all()
 
 
-@pytest.mark.parametrize("head", get_args(Head))
-def test_worse_actions_cost_more_and_actions_out_of_range_are_the_nearest_in_it(head: Head) -> None:
-    network = loss_module(head).network.flight
-    bins = torch.arange(256)
-    places = [0.5, 0.55, 0.7]
-    raws = [
-        (-0.5 * ((bins - place * 255) / 2) ** 2).expand(1, 4, 256)
-        if head == "tokens"
-        else torch.full((1, 4, 1), 2 * place - 1)
-        for place in places
-    ]
+def test_worse_actions_cost_more_and_actions_out_of_range_are_the_nearest_in_it() -> None:
+    network = loss_module().network.flight
+    raws = [torch.full((1, 4), 2 * place - 1) for place in (0.5, 0.55, 0.7)]
     target = (network.low + network.high)[None] / 2
     good, fair, bad = (action_loss(network, raw, target) for raw in raws)
     assert (good < fair).all()

@@ -260,16 +260,6 @@ def test_the_gate_asked_for_is_the_right_answer(made: list[dict[str, Any]], note
     assert count > 500
 
 
-def test_without_directives_nobody_is_told_what_a_gate_looks_like() -> None:
-    plain = replace(RECIPE, batch=32, sentences=6, worlds=16, directives=False)
-    count = 0
-    for batch in batches(plain, 6):
-        for *_, text in sentences(batch):
-            assert directive(text) is None, text
-            count += 1
-    assert count == 6 * 32 * 6
-
-
 # ---- who flies
 
 

@@ -11,7 +11,7 @@ import subprocess
 import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import pytest
 import torch
@@ -20,7 +20,7 @@ from quick_trainings import TINY_READER, QuickPolicyTraining, train_here
 
 from cognitivedrone.cli.training import last_success
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.models.small_vla import Flight, Head
+from cognitivedrone.models.small_vla import Flight
 from cognitivedrone.rollout import cards
 from cognitivedrone.rollout.cards import Cards
 from cognitivedrone.training.reasoner.selector import SelectorRecipe
@@ -240,18 +240,14 @@ def test_a_training_does_not_go_on_by_another_recipe_or_seed(
 # ---- curves
 
 
-@pytest.mark.parametrize("head", get_args(Head))
-def test_measures_of_actions_are_those_of_their_definitions(head: Head) -> None:
-    network = Flight(replace(RECIPE.network, head=head))
+def test_measures_of_actions_are_those_of_their_definitions() -> None:
+    network = Flight(RECIPE.network)
     bins = torch.tensor([[10, 100, 100, 100], [10, 120, 100, 100], [10, 140, 110, 100], [11, 160, 110, 100]])
     span = network.high - network.low
     target = (network.low + bins / 255 * span)[:, None]
     right = bins.clone()
     right[0, 1] += 30  # one mistake, of thirty bins
-    if head == "tokens":
-        raw = torch.nn.functional.one_hot(right, 256)[:, None].float() * 100
-    else:
-        raw = (2 * right / 255 - 1)[:, None, :, None]
+    raw = (2 * right / 255 - 1)[:, None]
     row = action_measures(network, raw, target)
     assert [row[f"accuracy {name}"] for name in DIMENSIONS] == [1, 0.75, 1, 1]
     assert row["accuracy"] == pytest.approx(15 / 16)
@@ -261,7 +257,6 @@ def test_measures_of_actions_are_those_of_their_definitions(head: Head) -> None:
     # What the commonest token would give.
     assert [row[f"baseline accuracy {name}"] for name in DIMENSIONS] == [0.75, 0.25, 0.5, 1]
     assert row["baseline l1 vx"] == pytest.approx(float(span[0]) / 255 / 4, abs=1e-5)
-    assert ("cross-entropy" in row) == (head == "tokens")
 
 
 def test_a_row_cut_short_by_a_kill_is_left_out(tmp_path: Path) -> None:
@@ -414,7 +409,7 @@ def test_a_buffer_tells_how_it_fills(start: Given) -> None:
     assert made[-1] == size
 
 
-QUICK = ("debug", "race", "ablation-tokens", "debug-language", "debug-obstacles", "debug-selector", "reader", "flight")
+QUICK = ("debug", "race", "debug-language", "debug-obstacles", "debug-selector", "reader", "flight")
 """One of every kind; the others are larger, or have other settings of the same."""
 
 

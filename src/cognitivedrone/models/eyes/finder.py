@@ -91,17 +91,11 @@ Boxes: TypeAlias = Tensor
 class Finder(nn.Module):
     """The network that finds gates, panels and the board."""
 
-    def __init__(self, backbone: tuple[int, int, int], blocks: int, image_size: int = 256) -> None:
-        """`backbone`: channels at strides 4, 8 and 16. `image_size` 256, or 128 for half the resolution inside."""
+    def __init__(self, backbone: tuple[int, int, int], blocks: int) -> None:
+        """`backbone`: channels at strides 4, 8 and 16."""
         super().__init__()
         first, second, third = backbone
-        fine = image_size == 256
-        self.image_size = image_size
-        self.stem = nn.Sequential(
-            nn.Conv2d(3, first, 8 if fine else 4, 4 if fine else 2, 2 if fine else 1, bias=False),
-            nn.BatchNorm2d(first),
-            nn.ReLU(),
-        )
+        self.stem = nn.Sequential(nn.Conv2d(3, first, 8, 4, 2, bias=False), nn.BatchNorm2d(first), nn.ReLU())
         self.backbone = nn.Sequential(
             Block(first, second, 2), Block(second, third, 2), *(Block(third, third) for _ in range(blocks))
         )
@@ -114,8 +108,6 @@ class Finder(nn.Module):
 
     def look(self, image: Tensor) -> Scene:
         """The backbone's output for images (B, 3, 256, 256), 0 to 1, channels last in memory for speed."""
-        if self.image_size != 256:
-            image = F.interpolate(image, size=self.image_size, mode="area")
         features = self.backbone(self.stem((image - 0.5) * 4))
         heat = self.heat(features).flatten(2)
         return Scene(features, heat[:, 0], heat[:, 1])

@@ -16,7 +16,7 @@ from cognitivedrone.policies.expert import ExpertConfig
 from cognitivedrone.tasks.directives import write_directive
 from cognitivedrone.tasks.generate import TRAIN, Pools
 from cognitivedrone.training.language.problems import is_held_out
-from cognitivedrone.training.language.questions import ask, families
+from cognitivedrone.training.language.questions import ask
 from cognitivedrone.training.language.wordings import TYPED
 from cognitivedrone.training.perception.attributes import gate_looks
 from cognitivedrone.training.perception.ground_truth import Poses, Truths, truths
@@ -44,8 +44,6 @@ class StreamRecipe:
     """Share of a race's flights in rooms with three gates: the one straight ahead is right there."""
     typed: float = 0.0
     """Share of sentences about panels in the wordings of the corpus, as people type them."""
-    directives: bool = True
-    """Whether some sentences are directives."""
     layouts: float = 0.0
     """Share of flights with other gate layouts than the published one (`cognitivedrone.layout`)."""
     varied: float = 0.5
@@ -124,13 +122,13 @@ class Sampler:
     def _questions(self, rng: np.random.Generator, row: int, each: Setting, known: Truths) -> Iterator[tuple[str, int]]:
         """Sentences about a frame, each with the right gate; half of them about the gate flown at."""
         task = each.task
-        readable = [g for g in self.askable(task) if known.in_view[row, g] and known.legible[row, g]]
+        readable = [g for g in range(3) if known.in_view[row, g] and known.legible[row, g]]
         visible = [g for g in range(3) if known.in_view[row, g] and known.ahead[row, g]]
         for _ in range(self.recipe.sentences):
             if task.family == "race":
                 yield task.instruction, _straight_ahead(row, each, known)
                 continue
-            plain = self.recipe.directives and rng.random() < 0.25
+            plain = rng.random() < 0.25
             among = visible if plain else readable
             target = each.flown if rng.random() < 0.35 or not among else int(rng.choice(among))
             pools = self._pools(rng)
@@ -148,13 +146,6 @@ class Sampler:
     def _pools(self, rng: np.random.Generator) -> Pools:
         """The ingredients of the next sentence; a recipe with a share of zero draws nothing for it."""
         return TYPED if self.recipe.typed and rng.random() < self.recipe.typed else TRAIN
-
-    def askable(self, task: Task) -> tuple[int, ...]:
-        """The gates that can be asked for; without directives, only those whose panels identify them."""
-        gates = (0, 1, 2)
-        if self.recipe.directives or task.family == "race":
-            return gates
-        return tuple(gate for gate in gates if families(task.labels, None, task.gates, gate))
 
 
 def _straight_ahead(row: int, each: Setting, known: Truths) -> int:

@@ -117,7 +117,7 @@ class RolloutStream:
         position, wind = np.array(start.position), np.array(start.wind)
         flight.reset(world, position, start.yaw, rotate_yaw(velocity, start.yaw), wind=wind)
         stage = runner.stage
-        others = [gate for gate in self._sampler.askable(task) if gate != task.target and stage.only is None]
+        others = [gate for gate in range(3) if gate != task.target and stage.only is None]
         learner = self._learner is not None and world < recipe.learner * recipe.worlds
         flown = right_gate(task) if learner or not others or rng.random() < 0.5 else int(rng.choice(others))
         wander = float(rng.uniform(0.3, 1.2)) if rng.random() < recipe.wander else 0.0
