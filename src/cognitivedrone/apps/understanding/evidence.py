@@ -12,13 +12,15 @@ from dataclasses import dataclass
 
 from cognitivedrone.apps.understanding import lexicon
 from cognitivedrone.apps.understanding.request import Request, Understanding
-from cognitivedrone.models.words.concepts import CLEAR, Concepts
+from cognitivedrone.models.words.concepts import CLEAR, NAMED, Concepts
 from cognitivedrone.pilot import Pilot
 from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.missions import lands, look_of
 
 LANGUAGE = "the pilot knows English, and names of common things and colours in German, French, Spanish and Italian"
+_NAME = re.compile(r"(?<=[a-z,] )[A-Z][a-z]")
+"""Something that is known by its name alone: "the Eiffel Tower"."""
 _FEW = 3
 """So many names of things may one word mean, as "bird" does not."""
 _EXAMPLE = "say what to fly to, such as 'fly to the dog'"
@@ -43,9 +45,9 @@ class Evidence:
     def request(self, sentence: str) -> Request:
         """What a sentence asks for: by its words, or else the thing that it means to the pilot."""
         request = self.understanding.understand(sentence)
-        meant = (
-            None if request.understood or request.note or not self.concepts else self.concepts.meant(sentence, CLEAR)
-        )
+        if request.understood or request.note or not self.concepts:
+            return request
+        meant = self.concepts.meant(sentence, NAMED if _NAME.search(sentence) else CLEAR)
         if meant is None:
             return request
         kind = KIND_OF[meant[0]]
@@ -85,12 +87,13 @@ class Evidence:
     def refused(self, sentence: str) -> frozenset[str]:
         """Looks of gates, and things, that a person's sentence says are not meant; they are not flown through.
 
-        Of whole kinds of things ("no animal") the pilot's own reading of the sentence decides.
+        Of things where it says what is meant, too ("not the dog, the cat"), and of whole kinds of things ("no animal"),
+        the pilot's own reading of the sentence decides.
         """
         if not sentence or lands(sentence)[0]:
             return frozenset()
         request = self.understanding.understand(sentence)
-        things = request.refused if len(request.refused) <= _FEW else ()
+        things = request.refused if not request.labels and len(request.refused) <= _FEW else ()
         looks = request.refused_looks
         if not re.search(r"\b(?:and|or|nor|und|oder|et|ou)\b|,", sentence):  # one gate of several looks
             looks = frozenset([look_of(looks)] if looks else [])

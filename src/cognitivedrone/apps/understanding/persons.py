@@ -14,7 +14,9 @@ from cognitivedrone.tasks.people import FEATURES, TRAIN_CAST, Feature
 FEATURE_NAMES = {
     "beard": "a full beard", "bearded": "a full beard", "mustache": "a moustache", "bald": "a bald head",
     "spectacle": "glasses", "spec": "glasses", "shade": "sunglasses", "laughing": "a laughing face",
-    "laugh": "a laughing face", "surprised": "a surprised look", "eyepatch": "an eyepatch", "dreads": "dreadlocks",
+    "laugh": "a laughing face", "happy": "a laughing face", "smiling": "a laughing face", "smile": "a laughing face",
+    "cheerful": "a laughing face", "surprised": "a surprised look", "shocked": "a surprised look",
+    "astonished": "a surprised look", "eyepatch": "an eyepatch", "dreads": "dreadlocks",
     "blonde": "blond hair", "blond": "blond hair", "brunette": "brown hair", "redhead": "red hair",
     "ginger": "red hair", "hijab": "a headscarf", "pirate": "an eyepatch",
 }  # fmt: skip

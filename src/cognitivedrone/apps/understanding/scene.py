@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import zlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -213,8 +214,11 @@ def own_names(labels: str | Path | None) -> Mapping[str, frozenset[str]]:
 
 
 def made_task(request: Request, seed: tuple[int, int], own: Collection[str] = frozenset()) -> Task:
-    """A task for a request that was understood; `own` are the labels of the user's pictures."""
-    rng = np.random.default_rng(seed)
+    """A task for a request that was understood; `own` are the labels of the user's pictures.
+
+    Another sentence gets another scene by the same seed.
+    """
+    rng = np.random.default_rng([*seed, zlib.crc32(request.sentence.encode())])
     kind = (
         "person"
         if request.features or request.lacks or request.name

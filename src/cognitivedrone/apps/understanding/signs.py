@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from cognitivedrone.apps.understanding.lexicon import KIND_WORDS, LARGEST_NUMBER, Predicate
 from cognitivedrone.apps.understanding.sentence import words_of
 from cognitivedrone.models.words.calculator import calculate
+from cognitivedrone.models.words.running_total import told
 from cognitivedrone.tasks.vocabulary import LETTERS
 from cognitivedrone.tasks.wording import NUMBER_WORDS
 
 _SUM = re.compile(
     r"\d[\s)]*[-+*/x^]\s*[\s(]*\d|\b(?:plus|minus|times|divided|sum|half|twice|double|squared?|cubed?|root|sqrt|percent|"
-    r"multiplied)\b|\b(?:third|quarter|fifth|tenth)s? of\b"
+    r"multiplied)\b|\b\w+ (?:less|fewer|more) than\b|\b(?:third|quarter|fifth|tenth)s? of\b"
 )
 _ONLY_SUM = re.compile(
     r"(?:what(?: is|s)?|how much(?: is)?|calculate|\s)*[\d\s.()*/x^+-]+(?:divided by [\d\s]+)?[=?\s]*"
@@ -29,14 +30,13 @@ _COUNTED = re.compile(r"\b(?:how many|number of) (?P<what>\w+)\b")
 
 def answer(text: str) -> tuple[int | None, str]:
     """The result of a calculation that a normalised text asks for, if it does, and why no gate shows it."""
-    if not _SUM.search(text):
-        return None, ""
-    number = calculate(re.sub(r"\bsqrt\b(?: of)?", "square root of", text))
+    summed = _SUM.search(text)
+    number = calculate(re.sub(r"\bsqrt\b(?: of)?", "square root of", text)) if summed else told(text)
     if number is not None:
         shown = 0 <= number <= LARGEST_NUMBER
         return number, "" if shown else f"the answer is {number}, and gates show 0 to {LARGEST_NUMBER}"
     # Words of sums are words of other things, too: only what is nothing but a calculation has no answer.
-    alone = _ONLY_SUM.fullmatch(text) is not None
+    alone = summed and _ONLY_SUM.fullmatch(text)
     return None, f"{text.strip()!r} has no answer that is a whole number" if alone else ""
 
 

@@ -25,8 +25,10 @@ CONCEPTS: Final = "concepts"
 CONCEPTS_FILE: Final = "concepts.onnx"
 STANDS_OUT: Final = 3.5
 """Standard deviations: what is no English stays below 3.1."""
-CLEAR: Final = 6.0
-"""The same, for what a sentence must mean: "where the king lives" 6.0, "take me to the Eiffel Tower" 5.0."""
+CLEAR: Final = 4.5
+"""The same, for what a sentence means that names nothing known: "the thing firefighters drive" 5.8."""
+NAMED: Final = 6.0
+"""The same, where it has a name: "take me to the Eiffel Tower" 5.0."""
 _NEAR = 0.04  # difference in cosine at which a concept counts e times less than one that fits better
 _NAMED = 0.4  # cosine from which a phrase names a concept
 _LEAST = 1e-6  # likelihood that no panel falls below
