@@ -93,7 +93,7 @@ def test_a_missing_a_truncated_and_a_stray_shard(store):
     assert verify(store) == [Problem(stray, "is not in the manifest")]
 
 
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(data=st.data())
 def test_any_altered_byte(sound_store, data):
     whole = (sound_store / SHARD).read_bytes()

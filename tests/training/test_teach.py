@@ -254,8 +254,6 @@ def test_problems_of_a_lesson_have_one_right_gate(labels: Path, tasks: Path) -> 
 
 def test_crops_of_a_lesson_show_it_and_what_was_known(labels: Path) -> None:
     lesson = read_lesson(labels)
-    index = AttributeIndex((*AttributeIndex().schema.names[:8], "concept/thing:robin", "concept/thing:hammer"))
-    del index
     names = AttributeIndex().schema.names
     end = AttributeIndex().groups["concept"].stop
     index = AttributeIndex((*names[:end], *lesson.new(names), *names[end:]))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-
 import numpy as np
 import pytest
 
@@ -104,14 +102,6 @@ def test_a_label_without_a_kind_is_refused() -> None:
         INDEX.of("cat")
 
 
-def test_arrays_are_shared_and_cannot_be_changed() -> None:
-    for indices in (INDEX.of("letter/A@lora"), gate_looks(Gate("big", "round", "red"))):
-        assert indices.dtype == np.int64
-        with pytest.raises(ValueError, match="read-only"):
-            indices[0] = 0
-    assert INDEX.of("letter/A@lora") is INDEX.of("letter/A@lora")
-
-
 def test_taught_names_are_known_and_others_of_kind_unknown() -> None:
     spans = INDEX.groups
     more = ["concept/thing:dragon", "concept/thing:our_robot"]
@@ -134,12 +124,6 @@ def test_a_taught_name_shows_the_concept_that_it_names() -> None:
         row = INDEX.named(name)
         assert {ATTRIBUTES[i] for i in row if i >= 0} == {f"kind/{kind}", name}
     assert not INDEX.known("taught/concept/thing:griffin")
-
-
-def test_another_process_gets_the_same_index() -> None:
-    other = copy.deepcopy(AttributeIndex(ATTRIBUTES[:-1]))  # as pickle does it
-    assert other.schema.names == ATTRIBUTES[:-1]
-    assert other.column("concept") == INDEX.column("concept") == 1
 
 
 def test_whatever_any_family_shows_is_known() -> None:
