@@ -1,14 +1,10 @@
 """Numbers and texts that no option can take are refused in one sentence, before any work."""
 
-import contextlib
-
 import pytest
 
-from cognitivedrone import cli
-from cognitivedrone.cli import TARGETS, load, main
+from cognitivedrone.cli import main
 from cognitivedrone.errors import TaskError, UsageError
 from cognitivedrone.plan import Scenario
-from cognitivedrone.ranges import check_arguments
 from cognitivedrone.tasks.suites import open_suite
 
 
@@ -82,15 +78,6 @@ def test_an_empty_text_is_refused(refused, line):
 def test_an_empty_argument_without_an_option_is_refused(refused):
     assert "the value is empty" in refused("compare", "", "")
     assert "the value is empty" in refused("fly", "")
-
-
-@pytest.mark.parametrize("name", TARGETS)
-def test_every_command_checks_its_arguments_first(monkeypatch, name):
-    """Whatever a command is, its wrapper has the same options and refuses the same values."""
-    command = load(name)
-    begun = cli._checked(command, contextlib.nullcontext)
-    assert begun.__wrapped__ is command
-    check_arguments(command, {})  # its annotations can be read
 
 
 def test_libraries_users_are_refused_too():

@@ -10,9 +10,7 @@ from cognitivedrone.benchmark.runs.records import read_records
 from cognitivedrone.benchmark.runs.runner import run
 from cognitivedrone.benchmark.scores.scoring import summarize
 from cognitivedrone.tasks import load_suite
-from cognitivedrone.types import CATEGORIES, EpisodeResult, Gate, StageResult
-
-BIG = Gate("big", "round", "red")
+from cognitivedrone.types import CATEGORIES, EpisodeResult, StageResult
 
 
 @pytest.fixture(scope="module")
