@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cognitivedrone.control.passage import Passage, WatchedDrone
+from cognitivedrone.control.passage import Passage, WatchedDrone, approach
 from cognitivedrone.sim.drawing.views import FOCAL_PX
 from cognitivedrone.types import IMAGE_SIZE, Image, Observation
 
@@ -80,6 +80,14 @@ def test_gates_of_every_colour_one_after_the_other_are_counted():
             time = 0.0 if passage._time is None else passage._time + 0.1
             passage.update(observation(ring(4.0 - place, 1.5, colour=colour), time, 1.6))
         assert passage.gates == passage_before + 1
+
+
+def test_the_plane_is_where_one_over_the_width_reaches_zero():
+    flown = np.linspace(0, 3, 10)
+    assert approach(np.column_stack([flown, 100 / (4.5 - flown)])) == pytest.approx((4.5, 100.0))
+    assert approach(np.column_stack([flown, 100 / (4.5 + flown)])) is None
+    assert approach(np.column_stack([np.ones(5), np.full(5, 80.0)])) is None
+    assert approach(np.array([[0.0, 10.0], [1.0, 20.0]])) is None
 
 
 def test_a_gate_that_leaves_the_view_sideways_before_it_is_reached_is_not_passed():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import pytest
 
@@ -124,6 +126,12 @@ def test_a_taught_name_shows_the_concept_that_it_names() -> None:
         row = INDEX.named(name)
         assert {ATTRIBUTES[i] for i in row if i >= 0} == {f"kind/{kind}", name}
     assert not INDEX.known("taught/concept/thing:griffin")
+
+
+def test_another_process_gets_the_same_index() -> None:
+    other = copy.deepcopy(AttributeIndex(ATTRIBUTES[:-1]))  # as pickle does it
+    assert other.schema.names == ATTRIBUTES[:-1]
+    assert other.column("concept") == INDEX.column("concept") == 1
 
 
 def test_whatever_any_family_shows_is_known() -> None:

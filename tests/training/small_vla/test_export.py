@@ -23,8 +23,9 @@ from cognitivedrone.models.words.scene_tokens import INPUTS, stacked
 from cognitivedrone.models.words.text_encoder import FILE, TextEncoderModel, encoder_of, parts_of
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.training.perception.attributes import ATTRIBUTES
-from cognitivedrone.training.small_vla.export import export, load_trained
+from cognitivedrone.training.small_vla.export import export, load_trained, stream_of
 from cognitivedrone.training.small_vla.policy import NetworkPilot, fly_suite
+from cognitivedrone.training.small_vla.sampling import StreamRecipe
 from cognitivedrone.training.trainer.checkpoint import read_checkpoint
 
 Exported = tuple[SmallVLA, Path, Description]
@@ -158,6 +159,10 @@ def test_checkpoint_and_file_fly_the_same_task_alike(
         flights.append(np.concatenate(commands))
     assert len(flights[0]) >= 5
     np.testing.assert_allclose(flights[0][:5], flights[1][:5], atol=0.05)
+
+
+def test_what_is_not_known_of_a_stream_is_the_default() -> None:
+    assert stream_of({"recipe": {"network": {}, "stream": None}}) == StreamRecipe()
 
 
 def test_what_is_no_checkpoint_is_said_so(tmp_path):
