@@ -1,6 +1,8 @@
 """The whole benchmark through its command: rendered flights, scores, resume, and what is said of mistakes."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,20 @@ from cognitivedrone.tasks import SUITES, load_suite
 
 ROOT = Path(__file__).resolve().parents[2]
 PUBLISHED = ROOT.parent / "shared" / "upstream"
+
+
+def command(*arguments: object) -> list[str]:
+    return [sys.executable, "-m", "cognitivedrone", *map(str, arguments)]
+
+
+def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command(*arguments), capture_output=True, text=True, timeout=300, check=False)
+
+
+def bench(out: Path, *arguments: object):
+    done = run("bench", "--out", out, *arguments)
+    assert done.returncode == 0, done.stderr
+    return read_results(out / "results.json")
 
 
 def flown(out: Path, *arguments: object, workers: int = 0, **environment: str):
@@ -26,6 +42,11 @@ def repeatable(out: Path):
 
 
 GOLD = ("--suite", "open-v1:smoke", "--policy", "colour_seeker", "--reasoner", "oracle", "--clips", 1)
+
+
+@pytest.mark.slow
+def test_the_whole_smoke_suite_with_the_gold_directive(tmp_path):
+    assert bench(tmp_path / "whole", *GOLD).summary().overall.passed >= 29
 
 
 def test_the_gold_directive_on_any_number_of_workers(tmp_path):

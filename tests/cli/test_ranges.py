@@ -1,10 +1,15 @@
 """Numbers and texts that no option can take are refused in one sentence, before any work."""
 
+import contextlib
+from typing import Annotated
+
 import pytest
 
-from cognitivedrone.cli import main
+from cognitivedrone import cli
+from cognitivedrone.cli import TARGETS, load, main
 from cognitivedrone.errors import TaskError, UsageError
 from cognitivedrone.plan import Scenario
+from cognitivedrone.ranges import Count, Range, Seed, check_arguments
 from cognitivedrone.tasks.suites import open_suite
 
 
@@ -78,6 +83,27 @@ def test_an_empty_text_is_refused(refused, line):
 def test_an_empty_argument_without_an_option_is_refused(refused):
     assert "the value is empty" in refused("compare", "", "")
     assert "the value is empty" in refused("fly", "")
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_every_command_checks_its_arguments_first(monkeypatch, name):
+    """Whatever a command is, its wrapper has the same options and refuses the same values."""
+    command = load(name)
+    begun = cli._checked(command, contextlib.nullcontext)
+    assert begun.__wrapped__ is command
+    check_arguments(command, {})  # its annotations can be read
+
+
+def test_ranges_are_found_within_annotations():
+    def command(one: Count | None, many: tuple[Seed, ...], plain: float) -> None: ...
+
+    check_arguments(command, {"one": None, "many": (0, 1), "plain": 1.5, "unknown": True})
+    for wrong in ({"one": 0}, {"many": (0, -1)}, {"plain": float("nan")}, {"plain": float("-inf")}):
+        with pytest.raises(Exception, match="it must be"):
+            check_arguments(command, wrong)
+    assert 10**400 not in Range(0, 5)
+    assert 10**400 in Range(0)
+    assert Annotated[int, Range(0, 2**63 - 1)] == Seed
 
 
 def test_libraries_users_are_refused_too():

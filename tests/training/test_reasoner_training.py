@@ -11,11 +11,16 @@ import pytest
 import torch
 from quick_trainings import SMALL_SELECTOR, TINY_READER, killed_at, train_here
 
+from cognitivedrone.errors import TrainingError
+from cognitivedrone.models.eyes.finder import LOOK_GROUPS
+from cognitivedrone.models.eyes.sight import LOOKS
 from cognitivedrone.models.words.scene_tokens import INPUTS, SceneTokenizer
 from cognitivedrone.models.words.selector_file import GateSelectorModel
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.reasoners.small import SmallReasoner
-from cognitivedrone.training.language.problems import ABSENT, Mix, Problem, Problems
+from cognitivedrone.training.config import TrainPlan
+from cognitivedrone.training.language.problems import ABSENT, NAMES, Mix, Problem, Problems
+from cognitivedrone.training.launch import run
 from cognitivedrone.training.perception import readings
 from cognitivedrone.training.perception.attributes import ATTRIBUTES, AttributeIndex
 from cognitivedrone.training.perception.panel_crops import PanelCrops
@@ -27,7 +32,7 @@ from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoi
 from cognitivedrone.training.trainer.run_log import METRICS, read_rows
 from cognitivedrone.training.trainer.start import read_start
 from cognitivedrone.training.trainer.training_task import Batch, Given, to_tensors
-from cognitivedrone.types import EpisodeContext
+from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Gate
 
 INDEX = AttributeIndex()
 
@@ -176,6 +181,13 @@ def test_a_gate_selector_starts_with_the_english_of_the_encoder(policy_checkpoin
     assert float(car @ automobile) > float(cat @ automobile) + 0.2
 
 
+def test_a_look_is_one_of_each() -> None:
+    values = (*COLORS, *SHAPES, *SIZES)
+    look = look_of(Gate("big", "triangle", "blue"))
+    assert [values[i] for i in np.flatnonzero(look)] == ["blue", "triangle", "big"]
+    assert LOOK_GROUPS[-1].stop == len(values) == LOOKS == len(look)
+
+
 @pytest.mark.parametrize("family", ["exclusion", "absent"])
 def test_the_gate_selector_learns_a_batch_by_heart(family: str, training_task: SelectorTraining) -> None:
     torch.manual_seed(0)
@@ -215,6 +227,19 @@ def test_the_gate_selector_in_onnx_answers_as_in_torch(
         np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-3)  # the temperature
 
 
+def test_a_killed_gate_selector_ends_with_the_same_weights(training_task: SelectorTraining, tmp_path: Path) -> None:
+    whole = read_checkpoint(train_here(tmp_path / "whole", training_task))[0]
+    with killed_at(4) as kill:
+        train_here(tmp_path / "killed", training_task, report=kill)
+    again, facts = read_checkpoint(train_here(tmp_path / "killed", training_task, resume=True))
+    assert facts["data"] == "from debug, step 6, seed 0"
+    assert all(torch.equal(value, again[name]) for name, value in whole.items())
+    rows = read_rows(tmp_path / "killed" / METRICS)
+    families = {name.removeprefix("choice accuracy ") for name in rows[-1] if name.startswith("choice accuracy ")}
+    assert families <= set(NAMES)
+    assert "absent" in families
+
+
 def test_the_small_reasoner_is_made_of_the_files_of_policy_and_selector(reasoner_parts: Path, tmp_path: Path) -> None:
     for path in reasoner_parts.glob("*.onnx"):
         shutil.copy(path, tmp_path)
@@ -222,6 +247,11 @@ def test_the_small_reasoner_is_made_of_the_files_of_policy_and_selector(reasoner
     assert isinstance(reasoner, SmallReasoner)
     assert SmallReasoner.file_of(str(tmp_path))[0] == tmp_path / "eyes.onnx"
     reasoner.reset(EpisodeContext("the letter A"))
+
+
+def test_a_gate_selector_learns_without_flights(tmp_path: Path) -> None:
+    with pytest.raises(TrainingError, match="does not use flights"):
+        run(TrainPlan(tmp_path, "selector", data=tmp_path))
 
 
 def test_an_overconfident_gate_selector_is_calibrated(training_task: SelectorTraining) -> None:

@@ -104,6 +104,14 @@ def test_a_label_without_a_kind_is_refused() -> None:
         INDEX.of("cat")
 
 
+def test_arrays_are_shared_and_cannot_be_changed() -> None:
+    for indices in (INDEX.of("letter/A@lora"), gate_looks(Gate("big", "round", "red"))):
+        assert indices.dtype == np.int64
+        with pytest.raises(ValueError, match="read-only"):
+            indices[0] = 0
+    assert INDEX.of("letter/A@lora") is INDEX.of("letter/A@lora")
+
+
 def test_taught_names_are_known_and_others_of_kind_unknown() -> None:
     spans = INDEX.groups
     more = ["concept/thing:dragon", "concept/thing:our_robot"]
