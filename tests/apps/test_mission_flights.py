@@ -37,13 +37,10 @@ def test_a_mission_is_flown_part_after_part_and_lands_on_its_pad(tmp_path):
     ("sentence", "says"),
     [
         ("first the dog then the glorp", "of sub-goal 2, not understood: 'glorp'"),
-        ("first the dog, then the red gate, never through red", "forbids it"),
-        ("first the dog, then land on the red pad, then the cat", "goes on after the landing"),
         ("land", "names no gate to fly through and no pad"),
         ("if there is a bus take it, otherwise land on the roof", "'roof' is not understood"),
         ("first a dog, never through the dog", "all that fits is forbidden"),
         ("never through red", "understood up to 'never through red'"),
-        (", then ".join(["fly to the dog"] * 50), "has 50 sub-goals"),
     ],
 )
 def test_what_cannot_be_flown_is_reported_before_take_off(tmp_path, sentence, says):
@@ -195,7 +192,6 @@ def test_of_a_condition_the_other_thing_is_flown_to_where_it_does_not_hold(tmp_p
         ("if there is a cat land on the red pad, otherwise on the blue pad", ["blue"]),
         ("the elephant, then land on red if there is a cat, otherwise green", ["elephant", "green"]),
         ("if there is a dog, first the cat then the bird, otherwise first the bus, then the owl", ["bus", "owl"]),
-        ("if there is a dog take it and then the elephant, otherwise the bus", ["dog", "elephant"]),
     ],
 )
 def test_what_was_seen_decides_over_the_pad_and_over_all_that_follows(tmp_path, sentence, passed):
@@ -211,14 +207,12 @@ def test_what_was_seen_decides_over_the_pad_and_over_all_that_follows(tmp_path, 
 @pytest.mark.parametrize(
     ("sentence", "flown"),
     [
-        ("if there is a zebra fly to it, otherwise land", None), ("if there is a koala land, else the crab", None),
-        ("if there is a zebra land, otherwise the crab", "crab"), ("s'il y a un koala, vas-y, sinon atterris", "koala"),
+        ("if there is a zebra fly to it, otherwise land", None),
+        ("if there is a zebra land, otherwise the crab", "crab"),
         ("wenn es einen Koala gibt, nimm die Krabbe, sonst den Schmetterling", "crab"),
         ("the animal, never through the koala", "crab butterfly"), ("an animal, never through square gates", "crab"),
-        ("if there is a koala take the crab, otherwise land on red", "crab"),
-        ("avoid the crab", "koala butterfly"), ("anything but the crab", "koala butterfly"),
-        ("not through the butterfly", "koala crab"), ("an animal, never through the green square", "crab butterfly"),
-        ("the gate that is not green", "crab butterfly"), ("a non-blue gate", "koala butterfly"),
+        ("anything but the crab", "koala butterfly"), ("an animal, never through the green square", "crab butterfly"),
+        ("a non-blue gate", "koala butterfly"),
     ],
 )  # fmt: skip
 def test_in_a_given_scene_conditions_and_prohibitions_hold(tmp_path, sentence, flown):

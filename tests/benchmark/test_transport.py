@@ -28,7 +28,7 @@ def test_five_percent_of_the_questions_may_be_lost(faults, asked, told):
 def test_a_run_whose_server_does_not_answer_says_so_first_and_fails(tmp_path, capsys, command):
     words = ["--suite", "open-v1:smoke", "--episodes", "1", "--out", str(tmp_path / "out")]
     if command == "bench":
-        words += ["--policy", "hover", "--workers", "0"]
+        words += ["--policy", "colour_seeker", "--workers", "0"]
     with serving(Script(replies=[(401, b"no key")])) as url, pytest.raises(SystemExit) as ended:
         main([command, *words, "--reasoner", f"vlm:{url},model=eye-7b,timeout=60"])
     assert ended.value.code == 1

@@ -78,18 +78,6 @@ class Mistaken(Reasoner):
         raise KeyError("oops")
 
 
-def test_faults_are_answers():
-    class Faulty(Reasoner):
-        def refine(self, image, instruction):
-            raise ReasonerError("garbage", "it said <html>")
-
-    async_reasoner = SimulatedReasoner(Faulty())
-    async_reasoner.ask(question())
-    answer = async_reasoner.answer(0.0)
-    assert (answer.guidance, answer.fault, answer.message) == (None, "garbage", "it said <html>")
-    assert async_reasoner.trace == ""
-
-
 def test_an_exception_of_the_reasoners_own_is_a_fault_whose_traceback_is_kept():
     async_reasoner = SimulatedReasoner(Mistaken())
     async_reasoner.ask(question())

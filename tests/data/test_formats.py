@@ -4,7 +4,6 @@ import re
 import resource
 import weakref
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -174,11 +173,3 @@ def test_unknown_formats_have_near_names(tmp_path):
         export(FLIGHTS, "rlsd", tmp_path / "set")
     with pytest.raises(DataError, match=r"unknown import format 'lerobt' .*; did you mean 'lerobot'"):
         import_(tmp_path, "lerobt")
-
-
-def test_a_writer_of_ones_own_is_named_by_its_module(tmp_path):
-    assert export(FLIGHTS, f"{__name__}:count_only", tmp_path / "set") == len(FLIGHTS)
-
-
-def count_only(episodes, out: Path) -> int:
-    return len(list(episodes))

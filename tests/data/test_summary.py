@@ -10,7 +10,6 @@ from rich.console import Console
 from cognitivedrone.data.episode import Episode
 from cognitivedrone.data.overview import Histogram, bars, histogram, megabytes, overview, summary
 from cognitivedrone.data.store import Store
-from cognitivedrone.errors import DataError
 from cognitivedrone.tasks import BASE_FAMILIES
 
 
@@ -30,11 +29,6 @@ def test_summary_names_what_is_in_the_set(sound_store: Path, flights: list[Episo
     assert "10 collision" in text
     assert all(family.replace("_", " ") in text for family in BASE_FAMILIES)
     assert all(name in text for name in ("vx", "vy", "vz", "yaw rate"))
-
-
-def test_summary_of_nothing_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="is not a data set"):
-        summary(tmp_path)
 
 
 def test_overview_counts_every_episode_and_every_byte(sound_store: Path, flights: list[Episode]) -> None:

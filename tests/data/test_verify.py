@@ -35,10 +35,6 @@ def store(sound_store, tmp_path):
     return shutil.copytree(sound_store, tmp_path / "store")
 
 
-def test_a_sound_store_has_no_problem(sound_store):
-    assert verify(sound_store) == []
-
-
 @pytest.mark.parametrize(
     "name", ["SHA256SUMS", "manifest.json", "statistics.json", "tasks.json", SHARD, "shards/shard-00002.json"]
 )
@@ -93,7 +89,7 @@ def test_a_missing_a_truncated_and_a_stray_shard(store):
     assert verify(store) == [Problem(stray, "is not in the manifest")]
 
 
-@settings(max_examples=25)
+@settings(max_examples=10)
 @given(data=st.data())
 def test_any_altered_byte(sound_store, data):
     whole = (sound_store / SHARD).read_bytes()

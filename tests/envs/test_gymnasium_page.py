@@ -19,8 +19,8 @@ from cognitivedrone.plan import Scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "gymnasium.md").read_text()
-ELSEWHERE = {"own_policy.py", "sb3_ppo.py"}
-"""Run by the tests of the README and of the wrappers."""
+ELSEWHERE = {"own_policy.py", "sb3_ppo.py", "gym_mission.py", "gym_policy.py", "gym_video.py"}
+"""Run by the tests of the README, of the wrappers and of missions, and below."""
 EXAMPLES = re.findall(r"\]\(\.\./examples/(\w+\.py)\) \|", PAGE)
 
 

@@ -1,6 +1,7 @@
 """The picture of `view`."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -26,13 +27,20 @@ def picture_of(suite, out: Path, episode=0, labels=None):
         return task, np.asarray(image.convert("RGB"))
 
 
+@pytest.fixture(scope="module")
+def shipped(tmp_path_factory):
+    """The first picture of a shipped suite, drawn once."""
+    out = tmp_path_factory.mktemp("shipped") / "view.png"
+    return cache(lambda name: picture_of(load_suite(name), out))
+
+
 def green_rows(picture):
     return (picture == GREEN).all(axis=2)
 
 
-def test_the_right_gate_is_marked_in_every_view_and_the_list(smoke, tmp_path):
+def test_the_right_gate_is_marked_in_every_view_and_the_list(smoke, shipped, tmp_path):
     """As many green badges as there are views beside that of the list, at another place for another answer."""
-    task, picture = picture_of(smoke, tmp_path / "a.png")
+    task, picture = shipped("open-v1:smoke")
     other = Suite(smoke.name, smoke.digest, ((replace(task, target=(task.target + 1) % 3),), *smoke.tracks[1:]))
     _, moved = picture_of(other, tmp_path / "b.png")
     assert picture.shape == moved.shape
@@ -45,18 +53,18 @@ def test_the_right_gate_is_marked_in_every_view_and_the_list(smoke, tmp_path):
         assert (green_rows(picture)[rows] != green_rows(moved)[rows]).any()
 
 
-def test_a_gates_number_never_covers_the_drone(tmp_path):
+def test_a_gates_number_never_covers_the_drone(shipped):
     """The whole drone is in the view from behind, with the orange front rotors."""
     for name in ("open-v2:layouts", "open-v1:race"):
-        _, picture = picture_of(load_suite(name), tmp_path / "a.png")
+        _, picture = shipped(name)
         red, green, blue = np.moveaxis(picture[-504:-24, 24:-24].astype(int), -1, 0)
         orange = (red > 180) & (green > 90) & (green < 190) & (blue < 120) & (red - blue > 90)
         assert orange[340:, 460:590].sum() > 300
 
 
-def test_a_long_instruction_is_wrapped(smoke, tmp_path):
+def test_a_long_instruction_is_wrapped(smoke, shipped, tmp_path):
     long = replace(smoke.tracks[0][0], instruction="Fly, where the road bends twice, to the gate with a picture " * 4)
-    _, short_picture = picture_of(smoke, tmp_path / "a.png")
+    _, short_picture = shipped("open-v1:smoke")
     _, picture = picture_of(Suite("mine", smoke.digest, ((long,),)), tmp_path / "b.png")
     assert picture.shape[1] == short_picture.shape[1]
     assert picture.shape[0] > short_picture.shape[0] + 100
@@ -74,9 +82,8 @@ def test_own_pictures_of_any_shape_are_shown(smoke, tmp_path):
     assert (picture == (200, 0, 200)).all(axis=2).sum() > 5000
 
 
-def test_a_gate_that_stands_alone_is_the_only_one_listed(tmp_path):
-    _, race = picture_of(load_suite("open-v1:race"), tmp_path / "a.png")
-    _, choice = picture_of(load_suite("open-v1:smoke"), tmp_path / "b.png")
+def test_a_gate_that_stands_alone_is_the_only_one_listed(shipped):
+    (_, race), (_, choice) = shipped("open-v1:race"), shipped("open-v1:smoke")
     assert race.shape[0] < choice.shape[0]
 
 

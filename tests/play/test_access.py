@@ -79,10 +79,10 @@ def test_no_browser_of_the_console_is_opened(monkeypatch, display, opened):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(play_app.shutil, "which", lambda _: "/usr/bin/x-www-browser")
     monkeypatch.setattr(webbrowser, "open", found.append)
+    before = {*threading.enumerate()}
     play_app._announce(PlayPlan(), "http://page", lambda _: None)
-    for thread in threading.enumerate():
-        if thread.name.startswith("Thread") and thread is not threading.current_thread():
-            thread.join(5)
+    for thread in {*threading.enumerate()} - before:  # other tests leave threads that never end
+        thread.join(60)
     assert found == opened
 
 

@@ -95,15 +95,15 @@ def made(rng: random.Random) -> tuple[str, tuple[SubGoal, ...]]:
     return text, tuple(goals)
 
 
-def test_a_thousand_generated_missions_mean_what_they_say():
+def test_hundreds_of_generated_missions_mean_what_they_say():
     rng = random.Random(64)
     fell = []
-    for _ in range(1000):
+    for _ in range(300):
         text, goals = made(rng)
         found = read(text)
         if len(goals) <= 12 and (found.problem or found.goals != goals):
             fell.append((text, found.problem, found.goals))
-    assert not fell, f"{len(fell)} of 1000: {fell[:2]}"
+    assert not fell, f"{len(fell)} of 300: {fell[:2]}"
 
 
 REFUSED = (Path(__file__).parent / "sentences" / "refused.txt").read_text("utf-8").splitlines()

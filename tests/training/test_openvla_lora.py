@@ -78,8 +78,6 @@ class Runs:
 
     whole: FineTuning
     resumed: FineTuning
-    steps_at_kill: tuple[int, int]
-    """Of the checkpoint and of the last row that the killed training left."""
 
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -103,14 +101,14 @@ def runs(tmp_path_factory: pytest.TempPathFactory, base: Path, flights: Path) ->
     command: list[str | Path] = [sys.executable, "-c", KILLED, base, flights, resumed.out]
     killed = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
     assert killed.returncode == -signal.SIGKILL, killed.stderr
-    at_kill = read_checkpoint(resumed.out / CHECKPOINT)[1]["step"], read_rows(resumed.out / METRICS)[-1]["step"]
+    # The kill came between a row and its checkpoint.
+    assert (read_checkpoint(resumed.out / CHECKPOINT)[1]["step"], read_rows(resumed.out / METRICS)[-1]["step"]) == (
+        2,
+        4,
+    )
     for config in (resumed, whole):
         assert fine_tune(config, lambda _: None) == config.out / MERGED
-    return Runs(whole, resumed, at_kill)
-
-
-def test_the_kill_came_between_a_row_and_its_checkpoint(runs: Runs) -> None:
-    assert runs.steps_at_kill == (2, 4)
+    return Runs(whole, resumed)
 
 
 def test_a_killed_training_ends_with_the_same_weights(runs: Runs) -> None:

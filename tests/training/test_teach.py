@@ -211,13 +211,6 @@ def test_copies_that_editors_and_systems_leave_are_not_taught(tmp_path: Path) ->
     assert read_lesson(tmp_path, tmp_path / "tasks").digest == lesson.digest
 
 
-def test_a_second_picture_of_one_name_is_named(tmp_path: Path) -> None:
-    for name in ("animal/cat.png", "animal/cat.jpg", "animal/dog.png"):
-        picture(tmp_path / name, (200, 0, 0))
-    with pytest.warns(UserWarning, match=r"is not shown: animal/cat\.png beside animal/cat\.jpg"):
-        read_lesson(tmp_path)
-
-
 def test_bad_lessons_are_refused_before_any_training(tmp_path: Path, labels: Path) -> None:
     picture(tmp_path / "one" / "birds" / "robin.png", (9, 9, 9))
     with pytest.raises(TrainingError, match=r"shows 1 concept\(s\)"):
@@ -254,8 +247,6 @@ def test_problems_of_a_lesson_have_one_right_gate(labels: Path, tasks: Path) -> 
 
 def test_crops_of_a_lesson_show_it_and_what_was_known(labels: Path) -> None:
     lesson = read_lesson(labels)
-    index = AttributeIndex((*AttributeIndex().schema.names[:8], "concept/thing:robin", "concept/thing:hammer"))
-    del index
     names = AttributeIndex().schema.names
     end = AttributeIndex().groups["concept"].stop
     index = AttributeIndex((*names[:end], *lesson.new(names), *names[end:]))

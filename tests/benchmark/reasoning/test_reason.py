@@ -236,12 +236,6 @@ def test_confidences_that_mean_what_they_say_have_no_calibration_error():
     assert calibration_error([0.95] * 2 + [0.5] * 2, [True, False, True, True]) == pytest.approx((0.45 + 0.5) / 2)
 
 
-def test_the_confidences_of_answers_are_compared_with_what_was_right(config):
-    summary = asked(config.changed(reasoner="noisy-oracle:accuracy=0.5")).summary
-    assert summary.rated == summary.overall.n
-    assert summary.calibration_error is not None
-
-
 @pytest.mark.parametrize(
     ("change", "error", "message"),
     [

@@ -11,7 +11,6 @@ from benchmark_fakes import lasting
 
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.runs import records
-from cognitivedrone.benchmark.runs.job import Shard, parse_shard
 from cognitivedrone.benchmark.runs.merge import merge
 from cognitivedrone.benchmark.runs.records import read_records
 from cognitivedrone.benchmark.runs.runner import command_of, out_of, run
@@ -154,14 +153,6 @@ def test_what_is_no_shard_is_refused_before_anything_is_written(config, text):
 def test_a_shard_without_episodes_is_refused(config):
     with pytest.raises(RunError, match="--shard 21/21 has no episode"):
         run(config.changed(shard="21/21"), progress=False, runner=RUNNER)
-
-
-@pytest.mark.parametrize("count", [1, 2, 7, 20])
-def test_shards_divide_a_run(count):
-    parts = [[*Shard(number, count).of(range(20))] for number in range(1, count + 1)]
-    assert sorted(episode for part in parts for episode in part) == [*range(20)]
-    assert max(map(len, parts)) - min(map(len, parts)) <= 1
-    assert parse_shard(str(Shard(1, count))) == Shard(1, count)
 
 
 def test_a_shard_has_a_folder_of_its_own(config):

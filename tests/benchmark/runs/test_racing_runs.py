@@ -1,8 +1,5 @@
 """Runs of the racing suite: scored and shown without a word of choosing."""
 
-from dataclasses import replace
-
-import numpy as np
 import pytest
 from benchmark_fakes import text_of
 
@@ -11,13 +8,9 @@ from cognitivedrone.benchmark.reports.report import render_report
 from cognitivedrone.benchmark.reports.tables import results_table
 from cognitivedrone.benchmark.runs.records import read_records
 from cognitivedrone.benchmark.runs.runner import run
-from cognitivedrone.benchmark.scores.codec import decode, encode
-from cognitivedrone.benchmark.scores.run_types import Trace
 from cognitivedrone.benchmark.scores.scoring import summarize
 from cognitivedrone.tasks import load_suite
-from cognitivedrone.types import CATEGORIES, EpisodeResult, Gate, Stage, StageResult
-
-BIG = Gate("big", "round", "red")
+from cognitivedrone.types import CATEGORIES, EpisodeResult, StageResult
 
 
 @pytest.fixture(scope="module")
@@ -47,16 +40,6 @@ def test_table_and_report_have_the_race_and_no_chance_of_guessing_right(flown):
             assert word not in text
     assert 'class="chance"' not in page
     assert "Beside the published scores" not in page
-
-
-def test_only_a_stage_with_a_gate_alone_says_so_in_its_record():
-    stage = Stage(gates=(BIG, BIG, BIG), labels=("a", "b", "c"))
-    assert "only" not in encode(stage)
-    alone = replace(stage, only=0)
-    assert encode(alone)["only"] == 0
-    for each in (stage, alone):
-        trace = Trace(np.zeros((2, 3), np.float32), (each,), (0,), 0.0)
-        assert decode(Trace, encode(trace), "here").stages == (each,)
 
 
 def result(category, outcome="passed", chosen=1):

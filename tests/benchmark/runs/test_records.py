@@ -98,12 +98,6 @@ def test_a_folder_of_other_things_is_left_alone(tmp_path, facts, overwrite):
     assert [entry.name for entry in tmp_path.iterdir()] == ["report.html"]
 
 
-def test_a_file_is_no_folder(tmp_path, facts):
-    (tmp_path / "out").write_text("")
-    with pytest.raises(RunError, match="is a file; give a folder"):
-        RunFolder(tmp_path / "out", facts)
-
-
 def test_two_runs_do_not_write_to_one_folder(folder, facts, config):
     flown = FakeRunner(resolve(config)).fly(4, film=False)
     late = RunFolder(folder, facts, resume=True)

@@ -76,15 +76,6 @@ def test_a_run_in_which_every_episode_fails_is_written_and_ends_with_exit_code_1
     assert "every episode" not in capsys.readouterr().out
 
 
-def test_mistakes_count_the_same_with_one_worker_and_with_two(tmp_path):
-    for workers in (1, 2):
-        out = tmp_path / str(workers)
-        evaluate("user_pilots:Faulty:raise", episodes=2, workers=workers, out=out, clips=1, progress=False)
-    assert lasting(tmp_path / "1") == lasting(tmp_path / "2")
-    assert lasting(tmp_path / "1")["scores"]["through"]["overall"]["outcomes"]["policy_error"] == 2
-    assert (tmp_path / "1" / "report.html").exists()
-
-
 @pytest.mark.parametrize("how", ["quit", "hang", "interrupt", pytest.param("array hangs", marks=pytest.mark.slow)])
 def test_mistakes_that_take_the_process_or_its_time_are_counted(tmp_path, how):
     evaluate(

@@ -25,7 +25,6 @@ from cognitivedrone.training.language.wordings import (
     LISTS,
     SHOWN,
     TYPED,
-    Heading,
     corpus,
     slots_of,
     wordings_of,
@@ -205,9 +204,3 @@ def test_questions_are_asked_in_typed_words_too() -> None:
     assert any("Java" in text for text in texts)
     assert any(re.search(r"\bred\b|\bblue\b", text) for text in texts)
     assert families(labels, None, gates, 1) == ("logos",)
-
-
-def test_a_heading_says_what_its_lines_are() -> None:
-    assert Heading("ANIMALS", whole=True) in corpus()["animals"]
-    assert "the {x}, not the {other}" in wordings_of("ANIMALS", whole=True)
-    assert "woof woof" in wordings_of("the animal that barks", whole=True)

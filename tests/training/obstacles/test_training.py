@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +12,7 @@ from quick_trainings import train_here
 
 from cognitivedrone.models.eyes.obstacle_eye import DEPTHS_M, EYE_FILE, PARTS, ObstacleEye
 from cognitivedrone.models.eyes.obstacle_network import occupied_and_depth
-from cognitivedrone.training.obstacles import DEBUG_OBSTACLES, OBSTACLES, ObstacleLoss, ObstacleTraining
-from cognitivedrone.training.recipes import find_recipe
+from cognitivedrone.training.obstacles import DEBUG_OBSTACLES, ObstacleLoss, ObstacleTraining
 from cognitivedrone.training.trainer.checkpoint import read_checkpoint, restore
 from cognitivedrone.training.trainer.training_task import Given
 
@@ -72,8 +70,3 @@ def test_depths_are_means_of_what_is_likely_if_anything_is_there() -> None:
     occupied, depth = occupied_and_depth(logits, torch.tensor(DEPTHS_M).log())
     assert occupied.item() == pytest.approx(0.25)
     assert depth.item() == pytest.approx((DEPTHS_M[2] * DEPTHS_M[3]) ** 0.5)
-
-
-def test_it_is_a_recipe_that_starts_from_nothing() -> None:
-    assert find_recipe("obstacles") is OBSTACLES
-    assert replace(OBSTACLES, name="other").facts() != OBSTACLES.facts()

@@ -122,16 +122,3 @@ def test_the_same_seed_draws_the_same_crops_of_each_world(monkeypatch: pytest.Mo
     for wider in (None, WiderWorld()):
         assert drawn(3, wider) == drawn(3, wider) != drawn(4, wider)
     assert drawn(3, None) != drawn(3, WiderWorld())
-
-
-def test_attributes_are_those_of_the_label() -> None:
-    labels = iter(["letter/W@inter", "sum/3+4@inter"] * 100)
-    _, attributes = PanelCrops(SIZE, INDEX.of, lambda _: next(labels)).draw(np.random.default_rng(0), 20)
-    assert {tuple(row) for row in attributes} == {
-        tuple(INDEX.of(label)) for label in ("letter/W@inter", "sum/3+4@inter")
-    }
-
-
-def test_crops_are_of_the_size_that_is_asked_for() -> None:
-    images, _ = PanelCrops(20, INDEX.of, lambda _: "letter/W@inter").draw(np.random.default_rng(0), 3)
-    assert images.shape == (3, 20, 20, 3)

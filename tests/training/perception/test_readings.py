@@ -181,11 +181,6 @@ def test_without_its_board_a_sentence_about_it_cannot_be_answered() -> None:
     assert made["text_named"].tolist() == [CAT, -1, -1, -1, -1]
 
 
-def test_doubts_reach_the_panels(doubtful: Readings) -> None:
-    made = batch(replace(PLAIN, doubt=1.0), readings=doubtful)
-    assert made["text_panels"][0, 1, ATTRIBUTES.index("kind/unknown")] == pytest.approx(0.1, abs=1e-3)
-
-
 def test_the_same_seed_describes_the_same() -> None:
     mix = TextMix(problems=Mix(families=dict(ALONE)))
     made = []

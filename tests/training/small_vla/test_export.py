@@ -21,14 +21,12 @@ from cognitivedrone.models.words.gate_selector import SelectorConfig
 from cognitivedrone.models.words.language import TextEncoder
 from cognitivedrone.models.words.scene_tokens import INPUTS, stacked
 from cognitivedrone.models.words.text_encoder import FILE, TextEncoderModel, encoder_of, parts_of
-from cognitivedrone.policies import make_policy
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.training.perception.attributes import ATTRIBUTES
 from cognitivedrone.training.small_vla.export import export, load_trained, stream_of
 from cognitivedrone.training.small_vla.policy import NetworkPilot, fly_suite
 from cognitivedrone.training.small_vla.sampling import StreamRecipe
 from cognitivedrone.training.trainer.checkpoint import read_checkpoint
-from cognitivedrone.types import EpisodeContext, Observation
 
 Exported = tuple[SmallVLA, Path, Description]
 
@@ -138,15 +136,6 @@ def test_the_runtime_merges_every_normalisation_with_its_convolution(exported, t
 def test_the_file_names_no_source_file(exported):
     _, path, _ = exported
     assert b".py" not in path.read_bytes()
-
-
-def test_the_policy_flies_it(exported):
-    _, path, _ = exported
-    policy = make_policy(f"small:{path}")
-    policy.reset(EpisodeContext("Fly through the red gate"))
-    frame = np.full((256, 256, 3), 128, dtype=np.uint8)
-    seen = Observation(frame, "Fly through the red gate", np.zeros(3, dtype=np.float32), 1.0, 0.0, 0.0)
-    assert policy.act(seen).shape == (1, 4)
 
 
 def test_checkpoint_and_file_fly_the_same_task_alike(

@@ -25,7 +25,6 @@ from cognitivedrone.rollout import cards
 from cognitivedrone.rollout.cards import Cards
 from cognitivedrone.training.reasoner.selector import SelectorRecipe
 from cognitivedrone.training.recipes import ALL_RECIPES, RECIPES, find_recipe
-from cognitivedrone.training.small_vla.export import load_trained
 from cognitivedrone.training.small_vla.language import DEBUG_LANGUAGE, LanguageRecipe
 from cognitivedrone.training.small_vla.losses import action_measures
 from cognitivedrone.training.small_vla.policy import FlightRecipe, TrainRecipe
@@ -34,7 +33,7 @@ from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoi
 from cognitivedrone.training.trainer.prefetch import PrefetchQueue, learner_path
 from cognitivedrone.training.trainer.run_log import DIMENSIONS, METRICS, draw_curves, read_rows
 from cognitivedrone.training.trainer.trainer import TrainConfig, learning_rate, stop_message, train
-from cognitivedrone.training.trainer.training_task import Given, Watched, to_tensors
+from cognitivedrone.training.trainer.training_task import Given, to_tensors
 
 # Trials once, at the end: the rest of the time goes into processes that start.
 RECIPE = replace(RECIPES["debug"], fly_every=6, fly_tasks=1)
@@ -69,8 +68,6 @@ class Runs:
 
     whole: Path
     resumed: Path
-    steps_at_kill: tuple[int, int]
-    """Of the checkpoint and of the last row that the killed training left."""
     reports: list[str]
 
 
@@ -103,15 +100,12 @@ def runs(tmp_path_factory: pytest.TempPathFactory, start: Given) -> Runs:
         env={**os.environ, "PYTHONPATH": paths},
     )
     assert killed.returncode == -signal.SIGKILL, killed.stderr
-    at_kill = read_checkpoint(resumed / CHECKPOINT)[1]["step"], read_rows(resumed / METRICS)[-1]["step"]
+    # The kill came between a row and its checkpoint.
+    assert (read_checkpoint(resumed / CHECKPOINT)[1]["step"], read_rows(resumed / METRICS)[-1]["step"]) == (2, 4)
     reports: list[str] = []
     train(TrainConfig(resumed, training_of(start), seed=3, resume=True), lambda _: None)
     train_here(whole, training_of(start), seed=3, report=reports.append)  # no process of its own makes its data
-    return Runs(whole, resumed, at_kill, reports)
-
-
-def test_the_kill_came_between_a_row_and_its_checkpoint(runs: Runs) -> None:
-    assert runs.steps_at_kill == (2, 4)
+    return Runs(whole, resumed, reports)
 
 
 def test_a_killed_training_ends_with_the_same_weights(runs: Runs) -> None:
@@ -184,15 +178,6 @@ def test_the_folder_tells_its_recipe(runs: Runs) -> None:
     assert told["data"] == "from debug-language, step 6, seed 0"
     assert told["recipe"]["network"]["language"] == {**DEBUG_LANGUAGE.network.facts(), "size": 32}
     assert told["recipe"]["network"]["reader"] == TINY_READER.network.facts()
-
-
-def test_what_was_trained_can_be_loaded_and_flies(runs: Runs) -> None:
-    network, loaded = load_trained(runs.whole / CHECKPOINT)
-    assert not network.training
-    with torch.no_grad():
-        actions, *_ = network(torch.zeros(1, 256, 256, 3, dtype=torch.uint8), torch.zeros(1, 5), torch.randn(1, 9, 32))
-    assert actions.isfinite().all()
-    assert loaded.facts["step"] == RECIPE.steps
 
 
 # ---- what is refused, and what there is nothing to do about
@@ -393,20 +378,6 @@ def _ignores_ctrl_c(pid: int | None) -> bool:
     status = Path(f"/proc/{pid}/status").read_text()
     blocked = int(re.search(r"SigBlk:\s*([0-9a-f]+)", status)[1], 16)
     return bool(blocked & 1 << (signal.SIGINT - 1))
-
-
-def test_a_buffer_tells_how_it_fills(start: Given) -> None:
-    training_task = training_of(start)
-    told: list[tuple[int, int]] = []
-    batches = training_task.batches()
-    assert isinstance(batches, Watched)
-    batches.watch(lambda made, wanted: told.append((made, wanted)))
-    next(batches((3, 0, 0)))
-    size = RECIPE.stream.batch * RECIPE.stream.pool
-    made = [count for count, wanted in told if wanted == size]
-    assert made[0] == 0
-    assert made == sorted(made)
-    assert made[-1] == size
 
 
 QUICK = ("debug", "race", "debug-language", "debug-obstacles", "debug-selector", "reader", "flight")
