@@ -6,6 +6,7 @@ SETTINGS is JSON: the link's URL, the rules, how the vehicle is talked to, and t
 from __future__ import annotations
 
 import gc
+import pickle
 import socket
 import sys
 from contextlib import suppress
@@ -39,7 +40,7 @@ def main() -> int:
         )
     except CognitiveDroneError as error:
         with suppress(OSError):
-            pilot.send(Reply("failed", str(error)).pack())
+            pilot.send(pickle.dumps(Reply("failed", str(error))))
         return FAILED
     gc.freeze()
     return guard.run()

@@ -8,6 +8,7 @@ vehicle is under way: the handshake, and the take-off with its checklist. Whatev
 from __future__ import annotations
 
 import os
+import pickle
 import select
 import signal
 import socket
@@ -36,9 +37,8 @@ from cognitivedrone.vehicles.mavlink.guard.messages import (
     MessageSocket,
     Reply,
     Snapshot,
-    to_json,
 )
-from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, Text
+from cognitivedrone.vehicles.mavlink.telemetry import Telemetry
 
 LOST_S = 0.5
 """A loop that was stopped for longer than this, by a signal, by swapping or by a sleep of the machine, lands."""
@@ -76,7 +76,6 @@ class GuardProcess:
         self._worker: threading.Thread | None = None
         self._answer: bool | None = None
         self._frame_at = -np.inf
-        self._texts: tuple[Text, ...] = ()
         self._sent_at = self._last_received = -np.inf
         self._sent_sequence = 0
         self._sent = np.zeros(4, dtype=np.float32)
@@ -260,16 +259,12 @@ class GuardProcess:
             self._land(f"the pilot process sends what cannot be flown by: {fault.reason}")
 
     def _say(self, reply: Reply) -> None:
-        self._replies.append(reply.pack())
+        self._replies.append(pickle.dumps(reply))
 
     def _send(self) -> None:
         """Send the pilot process what is new, without ever waiting for it."""
         core, now = self._core, time.monotonic()
         telemetry = core.telemetry
-        for text in telemetry.texts:
-            if not any(text is known for known in self._texts):
-                self._say(Reply("text", to_json(text)))
-        self._texts = telemetry.texts
         try:
             while self._replies and self._pilot is not None:
                 self._pilot.send(self._replies[0])
@@ -278,7 +273,7 @@ class GuardProcess:
             if self._pilot is not None and (fresh or now - self._sent_at >= WATCH_S):
                 self._sent_at, self._sent_sequence = now, self._inbox.sequence
                 self._last_received = telemetry.received_at
-                self._pilot.send(self._snapshot(telemetry).pack())
+                self._pilot.send(pickle.dumps(self._snapshot(telemetry)))
         except BlockingIOError:
             pass  # it does not read: there will be a newer one
         except OSError:
@@ -315,14 +310,14 @@ class GuardProcess:
 
     def _accept(self) -> Reply:
         self._core.meet()
-        return Reply("met", to_json(self._core.met))
+        return Reply("met", self._core.met)
 
     def _take_off(self) -> Reply:
         self._core.take_off(self._confirm, lambda: time.monotonic() - self._frame_at)
         return Reply("flying")
 
     def _confirm(self, checklist: Checklist) -> bool:
-        self._say(Reply("checklist", to_json(checklist)))
+        self._say(Reply("checklist", checklist))
 
         def answered() -> bool | None:
             self._core.check_wanted()
