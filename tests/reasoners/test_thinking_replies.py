@@ -174,18 +174,6 @@ def test_the_options_for_thinking_are_sent(asked, more, tokens, template):
     assert script.bodies[0]["response_format"]["json_schema"]["strict"] is True
 
 
-def test_a_server_without_one_of_the_fields_keeps_the_other(no_vlm_settings):
-    script = Script(replies=[(400, b"no"), (400, b"no"), (200, chat(ANSWER))])
-    with serving(script) as url:
-        reasoner = make_reasoner(f"vlm:{url},model=eye-7b,timeout=60,thinking=no")
-        with pytest.warns(RuntimeWarning, match="does not take chat_template_kwargs"):
-            reasoner.refine(FRAME, "Fly on")
-        reasoner.refine(FRAME, "Fly on")
-        reasoner.close()
-    sent = [("response_format" in body, "chat_template_kwargs" in body) for body in script.bodies]
-    assert sent == [(True, True), (False, True), (True, False), (True, False)]
-
-
 @pytest.mark.parametrize("length", range(1, len(ANSWER)))
 def test_no_beginning_of_an_answer_steers(length):
     try:
