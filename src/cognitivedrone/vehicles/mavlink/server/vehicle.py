@@ -24,7 +24,7 @@ from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.types import DroneState, FloatArray, Image
 from cognitivedrone.vehicles.mavlink.server.commands import Commands, Peer
 from cognitivedrone.vehicles.mavlink.server.modes import FlightModes, Mode, Severity
-from cognitivedrone.vehicles.mavlink.server.parameters import Parameters
+from cognitivedrone.vehicles.mavlink.server.parameters import TABLE, Parameters
 from cognitivedrone.vehicles.mavlink.server.ports import Address, Port, open_port
 from cognitivedrone.vehicles.mavlink.server.reports import REPORTS, VehicleSnapshot, battery_volts
 from cognitivedrone.vehicles.mavlink.telemetry import dialect
@@ -48,8 +48,6 @@ class VehicleConfig:
     links: tuple[str, ...] = ("udpout:127.0.0.1:14550", "tcpin:127.0.0.1:5760")
     """`udpout:host:port` sends first, as a listening ground station expects; `udpin` and `tcpin` listen. There is no
     authentication: use addresses other than the loopback only on purpose."""
-    firmware: tuple[int, int] = (4, 6)
-    """The version of ArduCopter that it says it is: since 4.7 parameters have other names, units and senses."""
     battery_minutes: float = 15.0
     """Flight time of a full battery."""
 
@@ -84,7 +82,7 @@ class SimulatedVehicle:
         self._m = dialect()
         self._lock = threading.RLock()
         self._steps = 0
-        self.parameters = Parameters(self.config.firmware)
+        self.parameters = Parameters()
         self.modes = FlightModes(self.parameters, self._stand(), self.say)
         self._commands = Commands(self._m, self)
         self._peers: dict[tuple[Port, Address], Peer] = {}
@@ -164,7 +162,7 @@ class SimulatedVehicle:
 
     def snapshot(self) -> VehicleSnapshot:
         """The current state, for reports."""
-        return VehicleSnapshot(self.time, self.simulator.state(0), self.modes, self.battery, self.config.firmware)
+        return VehicleSnapshot(self.time, self.simulator.state(0), self.modes, self.battery)
 
     def close(self) -> None:
         """Release the ports."""
@@ -242,7 +240,7 @@ class SimulatedVehicle:
         m = self._m
         kind = {"int8": m.MAV_PARAM_TYPE_INT8, "int16": m.MAV_PARAM_TYPE_INT16, "float": m.MAV_PARAM_TYPE_REAL32}
         p = self.parameters
-        peer.mav.param_value_send(name.encode(), p.reported(name), kind[p.kind(name)], len(p), p.names.index(name))
+        peer.mav.param_value_send(name.encode(), p[name], kind[TABLE[name].kind], len(p), list(p).index(name))
 
 
 def serve(
