@@ -43,13 +43,16 @@ from cognitivedrone.vehicles.mavlink.guard.messages import (
     Reply,
     Snapshot,
     connected_pair,
+    from_json,
     pack,
     to_json,
     unpack,
 )
 from cognitivedrone.vehicles.mavlink.telemetry import (
     LANDING_SILENT_S,
+    TEXTS_KEPT,
     Telemetry,
+    Text,
     dialect,
     unlanded,
 )
@@ -87,6 +90,7 @@ class SupervisedDrone:
         self._snapshot = Snapshot()
         self._received_at = math.inf
         self._frame_at = 0.0
+        self._texts: deque[Text] = deque(maxlen=TEXTS_KEPT)
         self._replies: deque[Reply] = deque()
         self._words = self._cut = ""
         self._gone = self._closed = False
@@ -110,7 +114,8 @@ class SupervisedDrone:
                 self._process = _start(url, self._safety, self.config, theirs, log)
             undo.callback(self._wait_for_the_guard)
             undo.callback(self._post, Kind.HANG_UP)
-            self.met: Met = self._reply("met", START_S + self.config.heartbeat_timeout_s).content
+            met = self._reply("met", START_S + self.config.heartbeat_timeout_s)
+            self.met = from_json(Met, met.content)
             self._on_silence = AUTOPILOTS[self.met.vehicle.autopilot].on_silence
             self._undo = undo.pop_all()
 
@@ -133,7 +138,7 @@ class SupervisedDrone:
     @property
     def telemetry(self) -> Telemetry:
         """The newest values that the vehicle has reported: state, mode, battery and texts."""
-        return self._snapshot.telemetry
+        return replace(self._snapshot.telemetry, texts=tuple(self._texts))
 
     @property
     def decision(self) -> Decision | None:
@@ -156,7 +161,8 @@ class SupervisedDrone:
         self._replies.clear()
         self._send_camera_age()
         self._post(Kind.TAKE_OFF)
-        answer = confirm(self._reply("checklist").content)
+        checklist = self._reply("checklist")
+        answer = confirm(from_json(Checklist, checklist.content))
         self._send_camera_age()
         self._post(Kind.CONFIRM if answer else Kind.REFUSE)
         self._reply("flying")
@@ -260,6 +266,8 @@ class SupervisedDrone:
     def _take(self, message: Snapshot | Reply) -> None:
         if isinstance(message, Snapshot):
             self._snapshot = message
+        elif message.kind == "text":
+            self._texts.append(from_json(Text, message.content))
         elif message.kind == "log":
             self.log_trouble = message.content
         elif message.kind == "words":

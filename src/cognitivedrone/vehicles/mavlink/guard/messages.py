@@ -6,20 +6,21 @@ fault that is counted, never an exception. Times are CLOCK_MONOTONIC, which all 
 
 from __future__ import annotations
 
+import json
 import math
-import pickle
 import socket
 import struct
 from collections import Counter, deque
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any, Final, Literal, TypeVar, cast
+from typing import Any, Final, Literal, TypeVar
 
 import numpy as np
 from cattrs.preconf.json import make_converter
 
 from cognitivedrone.choices import DecisionKind
 from cognitivedrone.system import DO_NOT_WAIT, message_pair
+from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.types import Action, FloatArray
 from cognitivedrone.vehicles.mavlink.client.core import Phase
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry
@@ -135,7 +136,12 @@ class Inbox:
         return Message(Kind(kind), sequence, sent_ns / 1e9, deadline_ns / 1e9, frame_age_s, np.array(command))
 
 
-# From the guard to the pilot, which started it and trusts it: pickled.
+# From the guard to the pilot: it is trusted, but may be cut short.
+
+PHASES: tuple[Phase, ...] = ("ground", "climbing", "flying", "released")
+DECISIONS: tuple[DecisionKind | Literal[""], ...] = ("", "fly", "hold", "brake", "land", "hands_off")
+_SNAPSHOT = struct.Struct("<cQBB16s?d4f3dd3d6d3dd200s")
+_SNAP, _REPLY = b"S", b"R"
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,21 +161,56 @@ class Snapshot:
     home: FloatArray = field(default_factory=lambda: np.zeros(3))
     """(3,) where it took off, ENU, m."""
     telemetry: Telemetry = field(default_factory=Telemetry)
+    """Without its texts, which come as replies."""
+
+    def pack(self) -> bytes:
+        """As bytes."""
+        t = self.telemetry
+        return _SNAPSHOT.pack(
+            _SNAP, self.sequence, PHASES.index(self.phase), DECISIONS.index(self.decision), t.mode.encode()[:16],
+            t.armed, t.heartbeat_at, *self.sent, *t.position, t.position_at, *t.velocity, t.yaw, t.yaw_rate,
+            t.attitude_at, t.received_at, t.vehicle_time, math.nan if t.battery is None else t.battery, *self.home,
+            self.start, self.reason.encode()[:200],
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class Reply:
     """A message that is sent once."""
 
-    kind: Literal["met", "checklist", "flying", "failed", "cut", "log", "words"]
-    """The vehicle was met; the checklist; the climb is over; what was asked for failed; the link was cut; what of the
-    log could not be written; the guard's final report."""
+    kind: Literal["met", "checklist", "flying", "failed", "cut", "text", "log", "words"]
+    """The vehicle was met; the checklist; the climb is over; what was asked for failed; the link was cut; a text of the
+    vehicle; what of the log could not be written; the guard's final report."""
     content: Any = None
+    """JSON."""
+
+    def pack(self) -> bytes:
+        """As bytes."""
+        return _REPLY + json.dumps([self.kind, self.content]).encode()
 
 
 def unpack(data: bytes) -> Snapshot | Reply:
-    """The message in these bytes, which `pickle.dumps` made."""
-    return cast("Snapshot | Reply", pickle.loads(data))  # noqa: S301
+    """The message in these bytes."""
+    if data[:1] == _REPLY:
+        return Reply(*parse_json(data[1:], non_finite=True))
+    (
+        _, sequence, phase, decision, mode, armed, heartbeat_at, s0, s1, s2, s3, x, y, z, position_at, vx, vy, vz, yaw,
+        yaw_rate, attitude_at, received_at, vehicle_time, battery, h0, h1, h2, start, reason,
+    ) = _SNAPSHOT.unpack(data)  # fmt: skip
+    telemetry = Telemetry(
+        mode=_text(mode), armed=armed, heartbeat_at=heartbeat_at, received_at=received_at,
+        position=np.array([x, y, z]), position_at=position_at,
+        velocity=np.array([vx, vy, vz]), yaw=yaw, yaw_rate=yaw_rate, attitude_at=attitude_at, vehicle_time=vehicle_time,
+        battery=None if math.isnan(battery) else battery,
+    )  # fmt: skip
+    return Snapshot(
+        sequence, PHASES[phase], DECISIONS[decision], _text(reason), np.array([s0, s1, s2, s3], np.float32), start,
+        np.array([h0, h1, h2]), telemetry,
+    )  # fmt: skip
+
+
+def _text(data: bytes) -> str:
+    return data.rstrip(b"\0").decode(errors="replace")
 
 
 _CONVERTER = make_converter()

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import gc
 import os
-import pickle
 import select
 import signal
 import socket
@@ -41,8 +40,9 @@ from cognitivedrone.vehicles.mavlink.guard.messages import (
     Reply,
     Snapshot,
     from_json,
+    to_json,
 )
-from cognitivedrone.vehicles.mavlink.telemetry import Telemetry
+from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, Text
 
 LOST_S = 0.5
 """A loop that was stopped for longer than this, by a signal, by swapping or by a sleep of the machine, lands."""
@@ -80,6 +80,7 @@ class GuardProcess:
         self._worker: threading.Thread | None = None
         self._answer: bool | None = None
         self._frame_at = -np.inf
+        self._texts: tuple[Text, ...] = ()
         self._sent_at = self._last_received = -np.inf
         self._sent_sequence = 0
         self._sent = np.zeros(4, dtype=np.float32)
@@ -263,12 +264,16 @@ class GuardProcess:
             self._land(f"the pilot process sends what cannot be flown by: {fault.reason}")
 
     def _say(self, reply: Reply) -> None:
-        self._replies.append(pickle.dumps(reply))
+        self._replies.append(reply.pack())
 
     def _send(self) -> None:
         """Send the pilot process what is new, without ever waiting for it."""
         core, now = self._core, time.monotonic()
         telemetry = core.telemetry
+        for text in telemetry.texts:
+            if not any(text is known for known in self._texts):
+                self._say(Reply("text", to_json(text)))
+        self._texts = telemetry.texts
         try:
             while self._replies and self._pilot is not None:
                 self._pilot.send(self._replies[0])
@@ -277,7 +282,7 @@ class GuardProcess:
             if self._pilot is not None and (fresh or now - self._sent_at >= WATCH_S):
                 self._sent_at, self._sent_sequence = now, self._inbox.sequence
                 self._last_received = telemetry.received_at
-                self._pilot.send(pickle.dumps(self._snapshot(telemetry)))
+                self._pilot.send(self._snapshot(telemetry).pack())
         except BlockingIOError:
             pass  # it does not read: there will be a newer one
         except OSError:
@@ -314,14 +319,14 @@ class GuardProcess:
 
     def _accept(self) -> Reply:
         self._core.meet()
-        return Reply("met", self._core.met)
+        return Reply("met", to_json(self._core.met))
 
     def _take_off(self) -> Reply:
         self._core.take_off(self._confirm, lambda: time.monotonic() - self._frame_at)
         return Reply("flying")
 
     def _confirm(self, checklist: Checklist) -> bool:
-        self._say(Reply("checklist", checklist))
+        self._say(Reply("checklist", to_json(checklist)))
 
         def answered() -> bool | None:
             self._core.check_wanted()
@@ -368,7 +373,7 @@ def main() -> int:
         )
     except CognitiveDroneError as error:
         with suppress(OSError):
-            pilot.send(pickle.dumps(Reply("failed", str(error))))
+            pilot.send(Reply("failed", str(error)).pack())
         return FAILED
     gc.freeze()
     return guard.run()
