@@ -1,4 +1,4 @@
-"""Everything about a graphics card in eight minutes, in the order of worth: make bench-card.
+"""Everything about a graphics card in seven minutes, in the order of worth: make bench-card.
 
 Run: python benchmarks/card.py [--seconds 480] [--results results]
 
@@ -53,11 +53,6 @@ PARTS = (
         ("dynamics.py", "--threads", "1", "2", "4", "8", "16", "--out", "{results}/dynamics_card.json"),
     ),
     Part("control step, bfloat16", 80, ("openvla_gpu.py", "--quant", "none", "--steps", "100", "--add")),
-    Part(
-        "policy and reasoner",
-        70,
-        ("openvla_gpu.py", "--quant", "none", "--steps", "0", "--together", "--seconds", "12", "--add"),
-    ),
     Part(
         "fine-tuning",
         75,

@@ -1,6 +1,6 @@
 """Speed and memory of OpenVLA-7B on a GPU, with random weights: nothing needs to be downloaded.
 
-Run: python benchmarks/openvla_gpu.py --lora --together --out docs/openvla_gpu.md
+Run: python benchmarks/openvla_gpu.py --lora --out results/openvla_gpu.json
 
 For each decoder and quantisation: median and 99th percentile of a whole control step (preparation, network, answer back
 on the host), the rate, its ratio to the 10 Hz of the paper, the peak GPU memory in flight, and the time to the first
@@ -8,11 +8,6 @@ answer, with compiling and recording.
 
 With --lora: samples a second and peak memory of fine-tuning at several batch sizes and of the paper's batch of 64 by
 accumulation, beside the loop of the published recipe on the same card. Needs peft.
-
-With --together: the policy at 10 Hz and a reasoner of Qwen2.5-VL-7B's sizes at 2 Hz on one card, how many deadlines
-were missed by over 10 ms, and how many of the answers that were due came at all. The reasoner answers by Transformers'
-own loop; by ours, with its words recorded as CUDA graphs; and by ours with the words that the schema forces appended
-without passes of their own, as `vlm-local` does.
 
 Quantisations need torchao. A failed measurement is reported in its row, and the rest continues. On a machine without a
 GPU it says so and runs the tiny networks on the same paths, which says nothing about the large ones.
@@ -30,7 +25,6 @@ from typing import Any, get_args
 import numpy as np
 import torch
 from openvla_gpu_report import Report, find_machine
-from openvla_gpu_together import together
 
 from cognitivedrone.benchmark.measurements import OUT_HELP, command_line
 from cognitivedrone.models.openvla.checkpoint import Quantisation
@@ -126,22 +120,6 @@ def flying(report: Report, quantisations: Sequence[Quantisation], steps: int) ->
             del network
 
 
-def both(report: Report, quantisations: Sequence[Quantisation], seconds: float) -> None:
-    """Measure policy and reasoner on one card, both with each quantisation."""
-    report.table(
-        f"Policy at 10 Hz, reasoner at 2 Hz in a thread of its own, {seconds:g} s",
-        *("median", "p99", "late > 10 ms", "of its rate", "peak memory"),
-    )
-    for quantisation in quantisations:
-        with report.measuring(f"{quantisation}, together"):
-            network = report.machine.network(None, quantisation, fused=True)
-            compile_blocks(network, report.machine.compiler)
-            step = control_step(Autoregressive(network))
-            step()  # records, or compiles and records
-            together(report, quantisation, step, seconds)
-            del step
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measure what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -151,8 +129,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--batches", type=int, nargs="+", help="sizes to try in fine-tuning; all powers of two by default"
     )
-    parser.add_argument("--together", action="store_true", help="measure policy and reasoner on one card as well")
-    parser.add_argument("--seconds", type=float, default=60.0, help="of flight of policy and reasoner together")
     parser.add_argument("--add", action="store_true", help="keep the other rows that are in the file of figures")
     parser.add_argument("--out", type=Path, help=OUT_HELP)
     options = parser.parse_args(arguments)
@@ -163,8 +139,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     quantisations = options.quant or (get_args(Quantisation) if machine.large else ["none"])
     if options.steps:
         flying(report, quantisations, options.steps)
-    if options.together:
-        both(report, quantisations, options.seconds)
     if options.lora:
         with report.measuring("LoRA"):
             from openvla_gpu_lora import BATCHES, PAPER, training

@@ -129,7 +129,7 @@ if [[ ${PHOTOGRAPHS:-} ]]; then
   measure photographs photographs --labels "$PHOTOGRAPHS" --policy "$policy" --reasoner "$reasoner"
 fi
 if [[ ${GPU:-} ]]; then
-  measure openvla_gpu openvla_gpu --lora --together
+  measure openvla_gpu openvla_gpu --lora
   measure training_card training_speed
   measure rendering_contexts rendering_contexts --processes 1 2 4 8
   measure rendering_difference rendering_difference

@@ -509,7 +509,6 @@ TABLES: Final[dict[str, Description]] = {
         "openvla_memory", "", "`{quant}`", {"memory, computed from the tensors' shapes": "{memory_gb:.1f} GB"}
     ),
     "gpu-step": titled("openvla_gpu", "One control step"),
-    "gpu-together": titled("openvla_gpu", "Policy at 10 Hz"),
     "gpu-lora": titled("openvla_gpu", "LoRA"),
     "lora-memory": across(
         "openvla_memory",

@@ -2,7 +2,7 @@
 
 import sys
 
-from cognitivedrone.system.hidden_modules import hidden_module
+from cognitivedrone.system.imports import hidden_module
 from cognitivedrone.system.interrupts import leaving_at_once
 
 

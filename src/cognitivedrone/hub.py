@@ -31,7 +31,7 @@ from cognitivedrone.models.words.selector_file import SELECTOR_FILE, GateSelecto
 from cognitivedrone.models.words.text_encoder import FILE as ENCODER_FILE
 from cognitivedrone.models.words.text_encoder import TextEncoderModel
 from cognitivedrone.system import move_folder
-from cognitivedrone.system.usage_reports import switch_off
+from cognitivedrone.system.imports import switch_off
 
 RepoType = Literal["model", "dataset"]
 SUFFIXES: Final = (".json", ".jsonl", ".md", ".mp4", ".onnx", ".parquet", ".png")

@@ -31,8 +31,8 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from cognitivedrone.errors import PluginError, did_you_mean
 from cognitivedrone.files import check_regular, read_regular, reason_of
+from cognitivedrone.system.imports import switch_off
 from cognitivedrone.system.interrupts import is_ctrl_c
-from cognitivedrone.system.usage_reports import switch_off
 from cognitivedrone.text.printable import visible
 
 _SWITCH = {"yes": True, "true": True, "on": True, "1": True, "no": False, "false": False, "off": False, "0": False}

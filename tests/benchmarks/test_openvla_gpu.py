@@ -15,7 +15,6 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
 import openvla_gpu  # noqa: E402
 import openvla_gpu_lora as lora  # noqa: E402
-import openvla_gpu_together as beside  # noqa: E402
 from openvla_gpu_report import Machine, Report  # noqa: E402
 
 from cognitivedrone.benchmark.measurements import read_measurement  # noqa: E402
@@ -30,15 +29,15 @@ def test_every_path_runs_and_leaves_a_table(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(openvla_gpu, "find_machine", lambda: HOST)
     monkeypatch.setattr(lora, "STEPS", 3)
     out = tmp_path / "openvla_gpu.json"
-    openvla_gpu.main(["--steps", "1", "--seconds", "0.5", "--lora", "--together", "--out", str(out)])
+    openvla_gpu.main(["--steps", "1", "--lora", "--out", str(out)])
     made = read_measurement(out)
     assert "no GPU here" in made.machine
     assert made.versions["torch"] == torch.__version__
     assert "nothing about the 7B" in made.note
-    assert made.command == "python benchmarks/openvla_gpu.py --steps 1 --seconds 0.5 --lora --together"
-    assert len({row["table"] for row in made.rows}) == 3
+    assert made.command == "python benchmarks/openvla_gpu.py --steps 1 --lora"
+    assert len({row["table"] for row in made.rows}) == 2
     names = [row["row"] for row in made.rows]
-    assert len(names) == len({*names}) == 21
+    assert len(names) == len({*names}) == 12
     assert "not measured" not in out.read_text()
     assert all(name in capsys.readouterr().out for name in names[:1])
 
@@ -57,21 +56,6 @@ def test_a_row_that_fails_is_told_of_and_the_rest_goes_on(tmp_path):
         "does not fit",
         "3",
     ]
-
-
-@pytest.fixture(scope="module")
-def reasoner():
-    return beside.random_reasoner(HOST, "none")
-
-
-def test_a_recorded_reasoner_answers_as_transformers_own_loop(reasoner):
-    generated, recorded = beside.Generated(reasoner), beside.Recorded(reasoner)
-    inputs = [beside.some_inputs(reasoner, seed) for seed in range(2)]
-    answers = [generated(each) for each in inputs]
-    assert [len(answer) for answer in answers] == [beside.ANSWER] * 2
-    assert answers[0] != answers[1]
-    # One after the other in the same memory.
-    assert [recorded(each) for each in (*inputs, inputs[0])] == [*answers, answers[0]]
 
 
 def test_the_published_loop_computes_the_same_loss():

@@ -9,7 +9,7 @@ import pytest
 from cognitivedrone.benchmark.reports.catalogue import catalogue
 from cognitivedrone.models.onnx_file import open_model
 from cognitivedrone.models.small_file import KIND
-from cognitivedrone.system.usage_reports import SWITCHES, switch_off
+from cognitivedrone.system.imports import SWITCHES, switch_off
 from cognitivedrone.terminal import console
 
 

@@ -35,7 +35,7 @@ REPLIES = {
     "glm in a box": (f"<think>{SEEN}</think><answer><|begin_of_box|>{ANSWER}<|end_of_box|></answer>", "stop", "right"),
     "glm cut off in its answer": (f'<think>{SEEN}</think><answer>{{"size": "big", "color": "red"', "length",
                                   "unfinished"),
-    "glm cut off, unsaid": ('<think>x</think><answer>{"size": "big", "color": "red"', None, "unfinished"),
+    "glm cut off, unsaid": ('<think>x</think><answer>{"size": "big", "color": "red"', None, "garbage"),
     # Kimi-VL
     "kimi unclosed": (f"◁think▷{SEEN} So the red gate is correct.", "stop", "unfinished"),
     "kimi whole": (f"◁think▷{SEEN} {WRONG}◁/think▷The small blue square gate.", "stop", "right"),
@@ -55,27 +55,23 @@ REPLIES = {
               "right"),
     "steps cut off": (f"<SUMMARY>Find it.</SUMMARY><REASONING>{SEEN} So the red", "length", "unfinished"),
     # QVQ: no marks, a boxed end
-    "qvq whole": (f"{SEEN} So the owl is on the third.\n\n**Final Answer**\n\n\\boxed{{\\text{{blue square}}}}", "stop",
-                  "right"),
-    "qvq cut off": (f"So I need the owl. {SEEN} Wait, maybe the red", None, "unfinished"),
+    "qvq whole": (f"{SEEN} So the owl is on the third.\n\n**Final Answer**\n\n\\boxed{{\\text{{blue square gate}}}}",
+                  "stop", "right"),
+    "qvq cut off": (f"So I need the owl. {SEEN} Wait, maybe the red", None, "garbage"),
     # forms that are not filled in, hedges, contradictions
-    "the form of the prompt": (FORM, "stop", "schema"),
+    "the form of the prompt": (FORM, "stop", "garbage"),
     "the form, quoted": (f"I must answer as {FORM}", "stop", "fault"),
     "the form, then the answer": (f"The form is {FORM}\nAnswer: {ANSWER}", "stop", "right"),
     "the form with bars": ('{"size": "big|small", "color": "red|green|blue", "shape": "round"}', "stop", "schema"),
-    "the form in lines": ("size: big or small\ncolor: red or green or blue\nshape: round or square", "stop", "fault"),
-    "a hedge in JSON": ('{"size": "small", "color": "red" or "blue", "shape": "round"}', "stop", "schema"),
+    "a hedge in JSON": ('{"size": "small", "color": "red" or "blue", "shape": "round"}', "stop", "garbage"),
     "a list of two": ('{"size": "small", "color": ["red", "blue"], "shape": "round"}', "stop", "schema"),
     "two answers": (f"{WRONG}\n{ANSWER}", "stop", "schema"),
     "two options": (f"Option A: {WRONG}\nOption B: {ANSWER}", "stop", "schema"),
-    "one key twice": ('{"color": "red", "shape": "square", "color": "blue"}', "stop", "schema"),
+    "one key twice": ('{"color": "red", "shape": "square", "color": "blue"}', "stop", "garbage"),
     "all gates in lines": ("1. Color: red, Shape: round\n2. Color: green, Shape: square\n", "stop", "fault"),
     "JSON and then another": (f"{WRONG} Wait, the correct gate is the blue one.", "stop", "unsure"),
     # forms that say one thing
     "lists of one": ('{"size": ["small"], "color": ["blue"], "shape": ["square"]}', "stop", "right"),
-    "lists of one, loosely": ("{'size': ['small'], 'color': ['blue'], 'shape': ['square'],}", "stop", "right"),
-    "bold keys": ("**Size**: small\n**Color**: blue\n**Shape**: square", "stop", "right"),
-    "bold keys with the colon": ("- **Size:** small\n- **Color:** `blue`\n- **Shape:** square", "stop", "right"),
     "no reason given, whole JSON": (ANSWER, None, "right"),
     "no reason given, whole sentence": ("Fly through the small blue square gate.", None, "right"),
     "no reason given, a directive": ("Fly through the small blue square gate", None, "right"),
@@ -87,10 +83,10 @@ REPLIES = {
     "Spanish JSON": ('{"size": "pequeño", "color": "azul", "shape": "cuadrado"}', "stop", "schema"),
     # thinking aloud
     "a question": ("Is it the red gate?", "stop", "garbage"),
-    "taken back": ("I would say the red one... no wait", "stop", "unsure"),
-    "a condition": ("If the sum is 7, fly through the red gate; if it is 8, the blue gate.", "stop", "unsure"),
+    "taken back": ("I would say the red one... no wait", "stop", "garbage"),
+    "a condition": ("If the sum is 7, fly through the red gate; if it is 8, the blue gate.", "stop", "garbage"),
     "a condition after JSON": (f"{WRONG} if the cat is red", "stop", "unsure"),
-    "it ends in the middle": ("So the answer is red or", "stop", "unfinished"),
+    "it ends in the middle": ("So the answer is red or", "stop", "garbage"),
     "French": ("Passe par la porte bleue, pas par le triangle rouge", "stop", "garbage"),
 }  # fmt: skip
 
@@ -176,18 +172,6 @@ def test_the_options_for_thinking_are_sent(asked, more, tokens, template):
     assert script.bodies[0]["max_tokens"] == tokens
     assert script.bodies[0].get("chat_template_kwargs") == template
     assert script.bodies[0]["response_format"]["json_schema"]["strict"] is True
-
-
-def test_a_server_without_one_of_the_fields_keeps_the_other(no_vlm_settings):
-    script = Script(replies=[(400, b"no"), (400, b"no"), (200, chat(ANSWER))])
-    with serving(script) as url:
-        reasoner = make_reasoner(f"vlm:{url},model=eye-7b,timeout=60,thinking=no")
-        with pytest.warns(RuntimeWarning, match="does not take chat_template_kwargs"):
-            reasoner.refine(FRAME, "Fly on")
-        reasoner.refine(FRAME, "Fly on")
-        reasoner.close()
-    sent = [("response_format" in body, "chat_template_kwargs" in body) for body in script.bodies]
-    assert sent == [(True, True), (False, True), (True, False), (True, False)]
 
 
 @pytest.mark.parametrize("length", range(1, len(ANSWER)))

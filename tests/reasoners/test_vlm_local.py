@@ -1,7 +1,6 @@
 """The local VLM reasoner on tiny models of the real architectures, with random weights."""
 
 import json
-from functools import partial
 from pathlib import Path
 from typing import cast
 
@@ -17,8 +16,6 @@ from cognitivedrone.types import Guidance
 torch = pytest.importorskip("torch")
 transformers = pytest.importorskip("transformers")
 tokenizers = pytest.importorskip("tokenizers")
-
-from cognitivedrone.models.qwen_decoder import QwenDecoder  # noqa: E402
 
 SPECIAL = [
     "<|endoftext|>",
@@ -114,7 +111,7 @@ def test_nonsense_is_a_fault_or_an_answer_and_never_a_crash(reasoner):
 def test_decoding_is_greedy_and_short(reasoner):
     first = reasoner.answer(frame(1), "Fly through the gate with the cat")
     assert first == reasoner.answer(frame(1), "Fly through the gate with the cat")
-    assert len(first) <= 40  # tokens of this tokenizer are single bytes
+    assert len(first[0]) <= 40  # tokens of this tokenizer are single bytes
 
 
 def test_the_image_reaches_the_model(reasoner):
@@ -148,7 +145,7 @@ def test_a_prompt_file_and_bfloat16(folder, tmp_path):
     inputs = reasoner.inputs(frame(0), "Find 9")
     assert "Where is it? Find 9" in reasoner._tokenizer.decode(inputs["input_ids"][0])
     assert inputs["pixel_values"].dtype == torch.bfloat16
-    assert len(reasoner.answer(frame(0), "Find 9")) <= 40
+    assert len(reasoner.answer(frame(0), "Find 9")[0]) <= 40
 
 
 def test_quantisation_names_its_extra_and_what_no_extra_has(folder, monkeypatch):
@@ -158,33 +155,6 @@ def test_quantisation_names_its_extra_and_what_no_extra_has(folder, monkeypatch)
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "bitsandbytes" else object())
     with pytest.raises(MissingExtra, match=r"^bitsandbytes is not installed: .*install.* bitsandbytes$"):
         make_reasoner(f"vlm-local:{folder},bits=4,device=cpu")
-
-
-def test_eight_bits_are_decoded_by_our_loop_and_by_nothing_else(folder, monkeypatch):
-    pytest.importorskip("torchao")
-    if not folder.name.startswith("qwen2_5"):
-        monkeypatch.setattr("importlib.util.find_spec", lambda name: None if name == "bitsandbytes" else object())
-        with pytest.raises(MissingExtra, match="bitsandbytes"):
-            make_reasoner(f"vlm-local:{folder},bits=8,device=cpu")
-        return
-    whole, small = (cast(LocalVlm, make_reasoner(f"vlm-local:{folder},device=cpu{bits}")) for bits in ("", ",bits=8"))
-    assert isinstance(small._decode, QwenDecoder)
-    layers = small._model.model.language_model.layers
-    assert {module.weight.qdata.dtype for module in layers.modules() if isinstance(module, torch.nn.Linear)} == {
-        torch.int8
-    }
-    inputs = whole.inputs(frame(0), "Fly to 7")
-    with torch.inference_mode():
-        exact, near = (reasoner._model(**inputs).logits[0, -1] for reasoner in (whole, small))
-    assert 0 < (near - exact).norm() / exact.norm() < 0.05
-    assert len(small.answer(frame(0), "Fly to 7")) <= 40
-
-
-def test_eight_bits_name_their_extra(folder, monkeypatch):
-    if folder.name.startswith("qwen2_5"):
-        monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-        with pytest.raises(MissingExtra, match=r"torchao.*cognitivedrone\[vlm-local\]"):
-            make_reasoner(f"vlm-local:{folder},bits=8,device=cpu")
 
 
 def test_missing_transformers_names_its_extra(folder, monkeypatch):
@@ -249,45 +219,17 @@ def test_pickled_weights_are_not_read(folder, tmp_path):
         make_reasoner(f"vlm-local:{tmp_path},device=cpu")
 
 
-def test_answers_of_the_schema_are_those_of_generate_whatever_decodes(folder):
+def test_answers_of_the_schema_are_whole(folder):
     """The tokenizer is of bytes, so that answers are longer than usual: more tokens, and the schema asked for."""
     reasoner = make_reasoner(f"vlm-local:{folder},device=cpu,tokens=80,schema=yes")
     for seed in range(3):
-        instruction = f"Fly through gate {seed}"
-        text = reasoner.answer(frame(seed), instruction)
+        text, end = reasoner.answer(frame(seed), f"Fly through gate {seed}")
         assert text in answers()
-        inputs = reasoner.inputs(frame(seed), instruction)
-        assert reasoner._tokenizer.decode(reasoner._generate(inputs), skip_special_tokens=True) == text
+        assert end == "stop"
 
 
-def test_free_answers_are_those_of_generate_whatever_decodes(reasoner):
-    for seed in range(3):
-        inputs = reasoner.inputs(frame(seed), "Fly to 7")
-        assert reasoner._decode(inputs) == reasoner._generate(inputs)
-
-
-def test_what_is_the_same_for_every_question_comes_before_the_image(reasoner):
+def test_the_image_comes_before_the_prompt_as_in_vlm(reasoner):
     text = reasoner._tokenizer.decode(reasoner.inputs(frame(0), "Fly to 7")["input_ids"][0])
     before, after = text.split("<|vision_start|>")
-    assert before.endswith("hangs in the scene as well.\n\n")
-    assert after.split("<|vision_end|>")[1].startswith("The drone was told: Fly to 7\n\nWhich gate")
-
-
-def test_compiling_before_take_off_and_where_it_fails(folder):
-    reasoner = make_reasoner(f"vlm-local:{folder},device=cpu")
-    assert isinstance(reasoner._decode, QwenDecoder) is (folder.name.startswith("qwen2_5"))
-    if not isinstance(reasoner._decode, QwenDecoder):
-        return  # Transformers' own loop is not ours to compile
-    wanted = reasoner.answer(frame(0), "Fly to 7")
-
-    def failing(graph, inputs):
-        raise OSError("no C compiler")
-
-    make = partial(QwenDecoder, reasoner._model, end=reasoner._decoding.eos_token_id, most=40)
-    torch.compiler.reset()
-    reasoner._warm_up(make, "eager")
-    assert reasoner.answer(frame(0), "Fly to 7") == wanted
-    torch.compiler.reset()
-    with pytest.warns(RuntimeWarning, match="vlm-local is not compiled, which is slower: .*no C compiler"):
-        reasoner._warm_up(make, failing)
-    assert reasoner.answer(frame(0), "Fly to 7") == wanted
+    assert before.endswith("<|im_start|>user\n")
+    assert after.split("<|vision_end|>")[1].startswith("You see the view from a drone.")

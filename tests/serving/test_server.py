@@ -15,7 +15,7 @@ from served_pilots import TOKEN, Held, served
 
 from cognitivedrone.errors import GroundTruthError, PluginError, PolicyError, ServerError, UsageError
 from cognitivedrone.serving.config import ServePlan
-from cognitivedrone.serving.server import serving
+from cognitivedrone.serving.server import logging_to_stderr, serving
 
 
 @pytest.fixture(scope="module")
@@ -346,3 +346,17 @@ def test_a_limit_that_is_none_is_refused(option):
 def test_an_unknown_policy_is_refused_before_the_port_is_used():
     with pytest.raises(PluginError, match="unknown policy"), served(policy="smal"):
         pass
+
+
+def test_200_frames_that_the_policy_fails_at_leave_few_lines_in_the_log(capsys):
+    with (
+        logging_to_stderr(),
+        serving(ServePlan.of(policy="served_pilots:Faulty", reasoner="none", port=0)) as address,
+        Client(address) as client,
+    ):
+        for _ in range(100):
+            client.ask(observation("raise"))
+            client.ask(observation("exit"))
+    log = capsys.readouterr().err
+    assert "Traceback" in log
+    assert len(log.splitlines()) < 200

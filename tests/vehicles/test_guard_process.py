@@ -216,7 +216,7 @@ def test_a_link_that_cannot_be_opened():
 
 
 def test_the_guard_loads_nothing_heavy():
-    code = "import sys, cognitivedrone.vehicles.mavlink.guard.__main__; print('\\n'.join(sys.modules))"
+    code = "import sys, cognitivedrone.vehicles.mavlink.guard.process; print('\\n'.join(sys.modules))"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert not set(loaded) & {"av", "PIL", "mujoco", "scipy", "gymnasium", "pyarrow", "onnxruntime", "torch", "rich"}
 

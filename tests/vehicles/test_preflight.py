@@ -8,15 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 from peer import PARAMETERS, PARAMETERS_4_7
+from px4_peer import PX4_PARAMETERS
 
 from cognitivedrone.vehicles.checklist import Finding
-from cognitivedrone.vehicles.mavlink.autopilot import read_by_either_name
-from cognitivedrone.vehicles.mavlink.client.expected import ARDUCOPTER_PARAMETERS
+from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, PX4, read_by_either_name
+from cognitivedrone.vehicles.mavlink.client.expected import EXPECTED
 from cognitivedrone.vehicles.mavlink.client.preflight import Facts, build_checklist, corrections
 from cognitivedrone.vehicles.mavlink.client.traffic import Traffic
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry
 
-NAMES = tuple(expected.name for expected in ARDUCOPTER_PARAMETERS)
+NAMES = tuple(expected.name for expected in EXPECTED["ArduCopter"])
 NOW = 100.0
 TELEMETRY = Telemetry(
     mode="STABILIZE",
@@ -64,9 +65,8 @@ def test_a_good_vehicle_passes_and_only_the_person_is_asked():
     assert set(NAMES) <= set(states())
 
 
-@pytest.mark.parametrize(
-    ("name", "good", "warn", "bad"),
-    [
+ROWS: dict[str, list[tuple[str, list[float], list[float], list[float]]]] = {
+    "ArduCopter": [
         ("SYSID_MYGCS", [255], [], [250, 0, 1]),
         ("FS_GCS_ENABLE", [5, 4], [], [0, 2, 6, 7, 99]),
         ("FS_GCS_TIMEOUT", [2, 5], [], [0, 30, 120]),
@@ -84,16 +84,63 @@ def test_a_good_vehicle_passes_and_only_the_person_is_asked():
         ("FS_EKF_THRESH", [0.8], [0], []),
         ("FS_CRASH_CHECK", [1], [0], []),
     ],
+    "PX4": [
+        ("COM_OBL_RC_ACT", [3, 4], [], [0, 1, 2, 5, 6, 7]),
+        ("COM_OF_LOSS_T", [0.5, 1.0], [], [0.0, 0.3, 1.5, 60.0]),
+        ("COM_RCL_EXCEPT", [0, 3], [], [4, 7]),
+        ("NAV_DLL_ACT", [0], [1, 2, 3], [5, 6]),
+        ("GF_ACTION", [3, 5], [], [0, 1, 2, 4]),
+        ("GF_MAX_HOR_DIST", [100.0], [0.0], []),
+        ("GF_MAX_VER_DIST", [20.0], [0.0], []),
+        ("COM_LOW_BAT_ACT", [2, 3], [], [0, 1]),
+        ("BAT_CRIT_THR", [0.07], [0.0], []),
+        ("MAV_FWDEXTSP", [1], [], [0]),
+        ("COM_RC_OVERRIDE", [2, 3], [0, 1], []),
+        ("COM_RC_IN_MODE", [0, 3], [4], []),
+        ("NAV_RCL_ACT", [1, 2, 3], [0, 5, 6], []),
+        ("COM_DL_LOSS_T", [5, 10, 300], [], []),
+        ("COM_FAIL_ACT_T", [0.0, 5.0], [25.0], []),
+        ("RTL_RETURN_ALT", [8.0], [60.0], []),
+        ("COM_DISARM_LAND", [2.0], [-1.0], []),
+    ],
+}
+"""By the autopilot: a parameter and its values that are good, for the person to judge, and bad."""
+STOCK = {"ArduCopter": (ARDUPILOT, PARAMETERS), "PX4": (PX4, PX4_PARAMETERS)}
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "name", "good", "warn", "bad"),
+    [(autopilot, *row) for autopilot, rows in ROWS.items() for row in rows],
 )
-def test_each_parameter(name, good, warn, bad):
+def test_each_parameter(autopilot, name, good, warn, bad):
+    kind, stock = STOCK[autopilot]
+    wanted = next(expected.wanted for expected in EXPECTED[autopilot] if expected.name == name)
     for state, values in (("ok", good), ("warn", warn), ("bad", bad)):
         for value in values:
-            assert states(**{name: float(value)})[name] == state, value
+            found = {**stock, name: float(value)}
+            checklist = build_checklist(replace(FACTS, values=found, autopilot=kind))
+            assert {row.what: row.state for row in checklist.findings}[name] == state, value
+            set_to = corrections(found, 10.0, autopilot=kind)
+            assert set_to.keys() == ({name} if state == "bad" and wanted is not None else set())
 
 
-def test_each_parameter_is_tested():
-    rows = test_each_parameter.pytestmark[0].args[1]
-    assert tuple(row[0] for row in rows) == NAMES
+@pytest.mark.parametrize("autopilot", ROWS)
+def test_each_parameter_is_tested(autopilot):
+    assert [row[0] for row in ROWS[autopilot]] == [expected.name for expected in EXPECTED[autopilot]]
+
+
+def test_a_px4_is_reported_with_its_own_reasons():
+    assert list(PX4_PARAMETERS) == [expected.name for expected in EXPECTED["PX4"]]
+    values = {**PX4_PARAMETERS, "COM_OBL_RC_ACT": 5}
+    text = str(build_checklist(replace(FACTS, version=(1, 16), values=values, autopilot=PX4)))
+    assert "PX4 1.16" in text
+    assert "what it does when our velocities stop" in " ".join(text.split())
+    assert "GUID_TIMEOUT" not in text
+
+
+def test_a_return_of_a_px4_must_not_climb_above_our_ceiling():
+    values = {**PX4_PARAMETERS, "COM_OBL_RC_ACT": 3, "RTL_RETURN_ALT": 60.0}
+    assert corrections(values, 10.0, autopilot=PX4) == {"COM_OBL_RC_ACT": 4}
 
 
 @pytest.mark.parametrize("name", NAMES)

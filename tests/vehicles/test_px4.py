@@ -18,10 +18,7 @@ from waiting import soon
 from cognitivedrone.control.safety import SafetyConfig
 from cognitivedrone.errors import LinkError
 from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, PX4
-from cognitivedrone.vehicles.mavlink.client.expected import PX4_PARAMETERS as EXPECTED
 from cognitivedrone.vehicles.mavlink.client.handshake import MavlinkConfig
-from cognitivedrone.vehicles.mavlink.client.preflight import Facts, build_checklist, corrections
-from cognitivedrone.vehicles.mavlink.client.traffic import Traffic
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, updated
 
 CONFIG = replace(SURE, takeoff_height_m=0.5)
@@ -193,87 +190,10 @@ def test_an_ardupilot_takes_floats():
     assert PX4.parameter_field(4, m.MAV_PARAM_TYPE_INT32) == pytest.approx(4 * 2.0**-149)
 
 
-GOOD_WARN_BAD: list[tuple[str, list[float], list[float], list[float]]] = [
-    ("COM_OBL_RC_ACT", [3, 4], [], [0, 1, 2, 5, 6, 7]),
-    ("COM_OF_LOSS_T", [0.5, 1.0], [], [0.0, 0.3, 1.5, 60.0]),
-    ("COM_RCL_EXCEPT", [0, 3], [], [4, 7]),
-    ("NAV_DLL_ACT", [0], [1, 2, 3], [5, 6]),
-    ("GF_ACTION", [3, 5], [], [0, 1, 2, 4]),
-    ("GF_MAX_HOR_DIST", [100.0], [0.0], []),
-    ("GF_MAX_VER_DIST", [20.0], [0.0], []),
-    ("COM_LOW_BAT_ACT", [2, 3], [], [0, 1]),
-    ("BAT_CRIT_THR", [0.07], [0.0], []),
-    ("MAV_FWDEXTSP", [1], [], [0]),
-    ("COM_RC_OVERRIDE", [2, 3], [0, 1], []),
-    ("COM_RC_IN_MODE", [0, 3], [4], []),
-    ("NAV_RCL_ACT", [1, 2, 3], [0, 5, 6], []),
-    ("COM_DL_LOSS_T", [5, 10, 300], [], []),
-    ("COM_FAIL_ACT_T", [0.0, 5.0], [25.0], []),
-    ("RTL_RETURN_ALT", [8.0], [60.0], []),
-    ("COM_DISARM_LAND", [2.0], [-1.0], []),
-]
-FACTS = Facts(
-    now=100.0, version=(1, 16), values=PX4_PARAMETERS, changed=(), telemetry=Telemetry(), traffic=Traffic(), home=True,
-    frame_age_s=0.1, takeoff_height_m=1.0, ceiling_m=10.0, autopilot=PX4,
-)  # fmt: skip
-
-
-@pytest.mark.parametrize(("name", "good", "warn", "bad"), GOOD_WARN_BAD)
-def test_each_parameter(name, good, warn, bad):
-    for state, values in (("ok", good), ("warn", warn), ("bad", bad)):
-        for value in values:
-            found = build_checklist(replace(FACTS, values={**PX4_PARAMETERS, name: value})).findings
-            assert {f.what: f.state for f in found}[name] == state, value
-            set_to = corrections({**PX4_PARAMETERS, name: value}, 10.0, autopilot=PX4)
-            wanted = next(expected.wanted for expected in EXPECTED if expected.name == name)
-            assert set_to.keys() == ({name} if state == "bad" and wanted is not None else set())
-
-
-def test_each_parameter_is_tested_and_reported_with_its_reason():
-    assert [row[0] for row in GOOD_WARN_BAD] == [expected.name for expected in EXPECTED] == list(PX4_PARAMETERS)
-    text = str(build_checklist(replace(FACTS, values={**PX4_PARAMETERS, "COM_OBL_RC_ACT": 5})))
-    assert "PX4 1.16" in text
-    assert "what it does when our velocities stop" in " ".join(text.split())
-    assert "GUID_TIMEOUT" not in text
-
-
-def test_a_return_must_not_climb_above_our_ceiling():
-    values = {**PX4_PARAMETERS, "COM_OBL_RC_ACT": 3, "RTL_RETURN_ALT": 60.0}
-    assert corrections(values, 10.0, autopilot=PX4) == {"COM_OBL_RC_ACT": 4}
-
-
 def test_our_speed_is_limited_by_the_time_that_it_flies_on():
     fast = replace(CALM, limits=replace(CALM.limits, slew=(100.0, 100.0, 100.0, 100.0)))
     with playing_px4() as peer, flying(peer, fast) as drone:
         assert drone.send(np.array([2.0, 0.0, 0.0, 0.0], dtype=np.float32))[0] == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize(
-    ("part", "reported"),
-    [
-        ({"version": (1, 13)}, r"PX4 1.13, which has no COM_OBL_RC_ACT that acts.*update it to 1.14"),
-        ({"kind": m.MAV_TYPE_FIXED_WING}, "fixed wing"),
-    ],
-)
-def test_what_is_not_flown(part, reported):
-    with playing_px4(**part) as peer, pytest.raises(LinkError, match=reported):
-        connect(peer)
-
-
-@pytest.mark.parametrize(
-    ("part", "reported"),
-    [
-        ({"prearm": False}, "does not report that it passes its own checks"),
-        ({"ekf": 0xA7}, "does not report that it knows where it is"),
-        ({"home": False}, r"\[bad \] home"),
-        ({"refuse": {400: "Arming denied: check failed"}}, "refused arming: failed; it reports: Arming denied"),
-    ],
-)
-def test_what_is_not_ready(part, reported):
-    with playing_px4(**part) as peer, connect(peer, replace(CONFIG, ready_timeout_s=0.5)) as drone:
-        with pytest.raises(LinkError, match=reported):
-            drone.take_off(lambda _: True)
-        assert not peer.part.armed
 
 
 # Messages.

@@ -9,7 +9,6 @@ from peer import PARAMETERS, PARAMETERS_4_7, SURE, connect, playing
 
 from cognitivedrone.errors import LinkError
 from cognitivedrone.vehicles.mavlink.autopilot import RENAMED, with_both_names
-from cognitivedrone.vehicles.mavlink.server.parameters import Parameters
 
 IN_BETWEEN = {
     **{n: v for n, v in PARAMETERS_4_7.items() if not n.startswith("RTL_")},
@@ -61,25 +60,3 @@ def test_a_parameter_file_has_both_names_each_in_its_unit():
     assert both == pytest.approx(
         {"RTL_ALT": 300, "RTL_ALT_M": 3, "PSC_ACCZ_P": 0.5, "PSC_D_ACC_P": 0.05, "FS_OPTIONS": 16}
     )
-
-
-def test_the_simulated_vehicle_shows_the_names_and_units_of_its_version():
-    old, new = Parameters(), Parameters((4, 7))
-    assert {"RTL_ALT", "SYSID_THISMAV", "WPNAV_SPEED"} <= set(old)
-    assert {"RTL_ALT_M", "MAV_SYSID", "WP_SPD", "ARMING_SKIPCHK"} <= set(new)
-    assert not set(RENAMED) & set(new)
-    assert len(old) == len(new)
-    assert (new.reported("RTL_ALT_M"), new.reported("WP_SPD"), new.reported("MAV_SYSID")) == (3.0, 10.0, 1.0)
-    assert new.reported("ATC_ANGLE_MAX") == pytest.approx(30.0)
-    assert (new.kind("RTL_ALT_M"), old.kind("RTL_ALT"), new.kind("MAV_GCS_SYSID")) == ("float", "int16", "int16")
-
-
-def test_the_simulated_vehicle_takes_values_in_the_units_of_its_version():
-    new = Parameters((4, 7))
-    assert new.set("RTL_ALT_M", 5.5) is None
-    assert new["RTL_ALT"] == pytest.approx(550.0)
-    assert new.set("RTL_ALT_M", 550.0) == "RTL_ALT_M takes 0.3 to 300"
-    assert new.set("ARMING_SKIPCHK", -1.0) == "ARMING_SKIPCHK cannot be changed here"
-    assert new.set("ARMING_SKIPCHK", 0.0) is None
-    assert new.set("ATC_ANGLE_MAX", 45.0) == "ATC_ANGLE_MAX cannot be changed here"
-    assert new.set("MAV_SYSID", 2.0) == "MAV_SYSID cannot be changed here"

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-import socket
 import threading
 from collections.abc import Iterator
 
@@ -385,25 +383,6 @@ def test_foreign_and_malformed_packets_change_nothing(client: Client) -> None:
     client.run(0.1)
     assert client.vehicle.modes.armed
     other.link.close()
-
-
-def test_a_flood_is_processed_in_part_and_new_peers_find_no_room(client: Client) -> None:
-    raw = client.link.port
-    beat = m.MAVLink_param_request_read_message(1, 1, b"GUID_TIMEOUT", -1).pack(client.mav)
-    for _ in range(40):
-        raw.sendto(beat * 20, client.vehicle.addresses[0])
-    assert sum(x.get_type() == "PARAM_VALUE" for x in client.run(0.01)) <= 200
-    strangers = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(12)]
-    for stranger in strangers:
-        stranger.sendto(beat, client.vehicle.addresses[0])
-    client.run(0.05)
-    heard = 0
-    for stranger in strangers:
-        stranger.setblocking(False)
-        with contextlib.suppress(BlockingIOError):
-            heard += bool(stranger.recv(2048))
-        stranger.close()
-    assert heard == 7
 
 
 def test_tcp_and_a_served_vehicle(simulator: Simulator) -> None:

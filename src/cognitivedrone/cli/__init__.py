@@ -27,11 +27,10 @@ from cognitivedrone.cli.streams import prepare_streams
 from cognitivedrone.errors import CognitiveDroneError, MissingExtra, UsageError, did_you_mean, plain_warnings
 from cognitivedrone.files import reason_of
 from cognitivedrone.ranges import check_arguments, check_words
-from cognitivedrone.system.hidden_modules import hidden_module
+from cognitivedrone.system.imports import hidden_module, switch_off
 from cognitivedrone.system.interrupts import STOPPED, ending_in_order, was_asked
 from cognitivedrone.system.processes import SAFE_PATH
 from cognitivedrone.system.shortages import way_out_of
-from cognitivedrone.system.usage_reports import switch_off
 from cognitivedrone.text.printable import message, wrapped
 
 PROGRAM = "cognitivedrone"

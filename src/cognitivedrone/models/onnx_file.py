@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from cognitivedrone.errors import ModelError, import_extra
 from cognitivedrone.files import read_regular, reason_of, replacing
 from cognitivedrone.models.checksum import BLANK, check, seal
-from cognitivedrone.system.usage_reports import switch_off
+from cognitivedrone.system.imports import switch_off
 from cognitivedrone.text.json_text import parse_json
 
 KEY = "cognitivedrone"

@@ -1,7 +1,7 @@
 """A server with the chat API of OpenAI: one question and its answer, by whatever fields this server takes.
 
-A server that refuses a field says so in its own words, with 400, 422 or 500. Each field that can be left out or renamed
-is tried then, and what helped is kept for all later requests and said once.
+A server that refuses a field names it in its own words, with 400, 415, 422 or 500. It is left out or renamed then, and
+in all later requests; this is said once. Other fields are left out by `extra`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
-from itertools import combinations
 from typing import Any, Final
 from urllib.parse import urlsplit
 
@@ -33,8 +32,6 @@ _LONGEST_ERROR = 400  # characters of a server's message: its advice is at its e
 _TEXT_PARTS = ("text", "output_text")
 _BUSY = (429, 500, 502, 503, 504)
 _REFUSING = (400, 415, 422)
-_OPTIONAL = ("response_format", "chat_template_kwargs")
-"""What is left out where a refusal names nothing."""
 
 _Request = dict[str, Any]
 
@@ -119,13 +116,6 @@ class ChatServer:
         while self._refuses(status, body) and (named := _named(body, _fixed(request, fixes))):
             fixes = (*fixes, *named)
             status, body, deadline = self._post(_fixed(request, fixes), deadline)
-        optional = [name for name in _OPTIONAL if name in request and name not in fixes and status in _REFUSING]
-        for some in (some for count in range(1, len(optional) + 1) for some in combinations(optional, count)):
-            tried = (*fixes, *some)
-            status, body, deadline = self._post(_fixed(request, tried), deadline)
-            if status == 200:
-                fixes = tried
-                break
         if status != 200:
             raise self._http_fault(status, body)
         if fixes != self._fixes:

@@ -61,12 +61,6 @@ def answers() -> list[str]:
     return [json.dumps(dict(zip(ANSWER_SCHEMA["properties"], each, strict=True))) for each in itertools.product(*parts)]
 
 
-def constant_part(template: str) -> str:
-    """The paragraphs of a prompt before the one with the instruction: the same for every question."""
-    before = template.lstrip().partition(PLACEHOLDER)[0]
-    return before[: before.rfind("\n\n") + 2] if "\n\n" in before else ""
-
-
 def checked_tokens(reasoner: str, tokens: int) -> int:
     """The maximum length of an answer; raises `PluginError` if it is out of range."""
     if not 1 <= tokens <= MOST_TOKENS:

@@ -84,12 +84,16 @@ class Vlm(Reasoner):
             raise PluginError(
                 "reasoner 'vlm' needs a model name: write vlm:URL,model=NAME, or set COGNITIVEDRONE_VLM_MODEL"
             )
-        self._timeout = _checked(timeout)
+        self._timeout = timeout
+        if not 0 < timeout <= 600:
+            raise PluginError(f"reasoner 'vlm': timeout={timeout:g}; it must be above 0 and at most 600 seconds")
+        if not 0 <= retry <= 3600:
+            raise PluginError(f"reasoner 'vlm': retry={retry:g}; it must be from 0 to 3600 seconds")
         self._template = load_prompt(prompt)
         self._tokens = checked_tokens("vlm", tokens or (THINKING_TOKENS if thinking else MAX_TOKENS))
         self._thinking = thinking
         self._warned: set[ReasonerFault] = set()
-        self._server = ChatServer(address, key, self._model, _checked_retry(retry), load_extra(extra))
+        self._server = ChatServer(address, key, self._model, retry, load_extra(extra))
 
     def __repr__(self) -> str:
         return f"Vlm({self._server.url!r}, model={self._model!r}, timeout={self._timeout})"
@@ -196,15 +200,3 @@ def _server(url: str | None) -> tuple[str, str]:
     if not key.isascii() or not key.isprintable():
         raise PluginError("COGNITIVEDRONE_VLM_KEY contains invalid characters; was a line break copied with it?")
     return url, key
-
-
-def _checked_retry(retry: float) -> float:
-    if not 0 <= retry <= 3600:
-        raise PluginError(f"reasoner 'vlm': retry={retry:g}; it must be from 0 to 3600 seconds")
-    return retry
-
-
-def _checked(timeout: float) -> float:
-    if not 0 < timeout <= 600:
-        raise PluginError(f"reasoner 'vlm': timeout={timeout:g}; it must be above 0 and at most 600 seconds")
-    return timeout

@@ -17,8 +17,8 @@ from cognitivedrone.rollout.pool import Answer, Item, Pool, Work, WorkerCrash, W
 from cognitivedrone.rollout.process_pool import JOIN_TIMEOUT_S, ProcessPool
 from cognitivedrone.sim.drawing.renderers import REMEMBERED, VISIBLE
 from cognitivedrone.system import refusal
+from cognitivedrone.system.imports import switch_off
 from cognitivedrone.system.processes import isolated
-from cognitivedrone.system.usage_reports import switch_off
 from cognitivedrone.text.printable import visible
 
 

@@ -174,6 +174,8 @@ class PolicyServer:
         self._engine = Engine(served, limits)
         self._clients = 0
         self._rest = Rest(served, self._engine, limits)
+        self._seen: set[str] = set()
+        """Codes of errors outside of sessions that have been logged."""
         self.app = Starlette(
             routes=[
                 Route("/healthz", _healthy, methods=["GET"]),
@@ -196,7 +198,7 @@ class PolicyServer:
         except ClientDisconnect:
             return Response(status_code=400)
         except Exception as error:
-            frame, code = error_reply(error, "a REST client")
+            frame, code = error_reply(error, "a REST client", self._seen)
             return Response(frame, STATUS.get(code, 400), media_type="application/json")
         return Response(body, media_type="application/json")
 
@@ -207,7 +209,7 @@ class PolicyServer:
             if self._clients >= self._limits.clients:
                 raise MessageError("too_many_clients", f"this server has its {self._clients} clients; try again later")
         except MessageError as error:
-            frame, code = error_reply(error, "a new client")
+            frame, code = error_reply(error, "a new client", self._seen)
             await socket.send_denial_response(Response(frame, STATUS[code], media_type="application/json"))
             return
         self._clients += 1
@@ -220,7 +222,7 @@ class PolicyServer:
         except WebSocketDisconnect:
             pass
         except Exception as error:  # while the session was made, or of the network
-            frame, _ = error_reply(error, name)
+            frame, _ = error_reply(error, name, self._seen)
             await _last_words(socket, frame)
         finally:
             self._clients -= 1
@@ -228,7 +230,7 @@ class PolicyServer:
                 await self._engine.close_session(session)
 
     async def _converse(self, socket: WebSocket, session: Session, name: str) -> None:
-        rate, errors = RateLimit(self._limits.rate), 0
+        rate, seen = RateLimit(self._limits.rate), set[str]()
         await socket.send_bytes(pack(self._served.metadata(session.id)))
         log.info("%s: session %s", name, session.id)
         before_s: float | None = None
@@ -242,9 +244,7 @@ class PolicyServer:
                 answer: bytes | str = pack(await self._answer(session, event, before_s))
                 code = ""
             except Exception as error:
-                # One line per session, so that a client cannot fill the log.
-                answer, code = error_reply(error, name, logging.DEBUG if errors else logging.INFO)
-                errors += 1
+                answer, code = error_reply(error, name, seen)
             sending = socket.send_bytes(answer) if isinstance(answer, bytes) else socket.send_text(answer)
             await asyncio.wait_for(sending, SEND_S)
             before_s = time.perf_counter() - began
@@ -296,22 +296,23 @@ class PolicyServer:
         return answer | ({} if done.present is None else {"present": done.present}), timing
 
 
-def error_reply(error: Exception, client: str, level: int = logging.DEBUG) -> tuple[str, str]:
+def error_reply(error: Exception, client: str, seen: set[str]) -> tuple[str, str]:
     """The frame for a client, and its code; the traceback of an unexpected exception stays in the log.
 
-    What is wrong with a message is logged at `level`, what is wrong with pilot or server as an error.
+    An error is logged where `seen` does not have its code yet, so that a client cannot fill the log.
     """
-    if isinstance(error, CognitiveDroneError):
-        code = code_of(error)
-        trace = error.trace if isinstance(error, PolicyRaised | ReasonerError) else ""
-        level, shown = logging.ERROR if trace else level, f"\n{trace}" if trace else ""
-        log.log(level, "%s: %s: %s%s", client, code, error, shown, extra={"kind": code})
-        more = {"fault": error.kind, "certainty": error.certainty} if isinstance(error, ReasonerError) else {}
-        return error_frame(code, str(error), **more), code
     if isinstance(error, asyncio.TimeoutError):
         return error_frame("busy", "the client was silent, or did not read, for too long"), "busy"
-    log.error("%s: unexpected error", client, exc_info=error, extra={"kind": type(error).__name__})
-    return error_frame("internal", "the server failed at this message; its log says why"), "internal"
+    code = code_of(error) if isinstance(error, CognitiveDroneError) else "internal"
+    trace = error.trace if isinstance(error, PolicyRaised | ReasonerError) else ""
+    level = logging.DEBUG if code in seen else logging.ERROR if trace or code == "internal" else logging.INFO
+    seen.add(code)
+    if not isinstance(error, CognitiveDroneError):
+        log.log(level, "%s: unexpected error", client, exc_info=error)
+        return error_frame("internal", "the server failed at this message; its log says why"), code
+    log.log(level, "%s: %s: %s%s", client, code, error, f"\n{trace}" if trace else "")
+    more = {"fault": error.kind, "certainty": error.certainty} if isinstance(error, ReasonerError) else {}
+    return error_frame(code, str(error), **more), code
 
 
 async def _last_words(socket: WebSocket, frame: str) -> None:

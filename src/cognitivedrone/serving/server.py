@@ -1,4 +1,4 @@
-"""Runs the web application: opens the port, says where it is, serves until stopped; keeps its log short."""
+"""Runs the web application: opens the port, says where it is, serves until stopped."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import logging
 import socket
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -26,51 +25,6 @@ from cognitivedrone.serving.app import PolicyServer
 from cognitivedrone.serving.config import ServePlan
 from cognitivedrone.serving.sessions import ServedPilot
 from cognitivedrone.system.interrupts import until_asked
-
-MOST = 5
-"""Records of a kind that are logged in a period."""
-PERIOD_S = 60.0
-KINDS = 1000
-"""Kinds that are remembered; more share one."""
-
-
-@dataclass(slots=True)
-class _Count:
-    since: float
-    logged: int = 0
-    left_out: int = 0
-
-
-class LogLimit(logging.Filter):
-    """Lets `MOST` records of a kind pass in `PERIOD_S`; the first that passes later says how many were left out.
-
-    A record's kind is its logger, its level, its text before values are put in, and its attribute `kind`, if any.
-    """
-
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        super().__init__()
-        self._clock = clock
-        self._counts: dict[object, _Count] = {}
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        """Whether the record is logged."""
-        now = self._clock()
-        key: object = (record.name, record.levelno, str(record.msg), getattr(record, "kind", ""))
-        if key not in self._counts and len(self._counts) >= KINDS:
-            key = None
-        count = self._counts.setdefault(key, _Count(now))
-        if now - count.since >= PERIOD_S:
-            if count.left_out:
-                record.msg = f"{record.msg} ({count.left_out} more like this were not logged)"
-            self._counts[key] = count = _Count(now)
-        if count.logged >= MOST:
-            count.left_out += 1
-            return False
-        count.logged += 1
-        if count.logged == MOST:
-            record.msg = f"{record.msg} (more like this are not logged for {PERIOD_S:.0f} s)"
-        return True
-
 
 STOP_S = 2
 """Time that clients have to leave when the server stops, s."""
@@ -243,9 +197,8 @@ def _is_every(host: str) -> bool:
 
 @contextmanager
 def logging_to_stderr() -> Iterator[None]:
-    """Inside, the server's log goes to standard error, within the limit of `LogLimit`."""
+    """Inside, the server's log goes to standard error."""
     handler = logging.StreamHandler(sys.stderr)
-    handler.addFilter(LogLimit())
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s", datefmt="%H:%M:%S"))
     loggers = [logging.getLogger(name) for name in ("cognitivedrone.serving", "uvicorn.error")]
     before = [(logger.level, logger.propagate) for logger in loggers]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import importlib.metadata
-import logging
 import secrets
 import time
+import traceback
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -30,8 +30,6 @@ from cognitivedrone.remote.messages import OURS, PROTOCOL, Message, read_prompt,
 from cognitivedrone.serving.config import Limits
 from cognitivedrone.tasks.directives import declines
 from cognitivedrone.types import CONTROL_HZ, REASONER_HZ, ActionChunk, EpisodeContext, Guidance, Image, Observation
-
-log = logging.getLogger(__name__)
 
 
 class ServedPilot:
@@ -180,8 +178,7 @@ def _checked(chunk: ActionChunk | Exception) -> ActionChunk | Exception:
     if isinstance(chunk, CognitiveDroneError):
         return chunk
     if isinstance(chunk, BaseException):
-        log.error("the policy raised an exception", exc_info=chunk)
-        return PolicyRaised(f"the policy raised {one_line(chunk)}", "")
+        return PolicyRaised(f"the policy raised {one_line(chunk)}", "".join(traceback.format_exception(chunk)))
     try:
         with calling("the policy"):  # an object that converts itself runs the policy's code
             return check_chunk(chunk)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable
 from typing import Any, Final
 
 MAX_DEPTH: Final = 64
@@ -32,14 +31,12 @@ def parse_json(
     max_bytes: int = MAX_BYTES,
     max_depth: int = MAX_DEPTH,
     non_finite: bool = False,
-    objects: Callable[[list[tuple[str, Any]]], Any] | None = None,
 ) -> Any:
     """The value of a JSON text in UTF-8.
 
     Raises `NotJSON`, a `ValueError`, for anything else: also for a name that an object has twice, more than `max_depth`
     lists and objects within each other, more than `max_bytes` bytes (or characters), whole numbers of more than 300
-    digits, and NaN and what is infinite as a float unless they may be there (`non_finite`). `objects` makes something
-    else than a dict of the pairs of an object, and then says itself what it thinks of names given twice.
+    digits, and NaN and what is infinite as a float unless they may be there (`non_finite`).
     """
     if len(content) > max_bytes:
         raise NotJSON(f"it has {len(content):,} bytes, and at most {max_bytes:,} are read")
@@ -47,7 +44,7 @@ def parse_json(
         text = content.decode("utf-8") if isinstance(content, bytes) else content
     except UnicodeDecodeError as error:
         raise NotJSON(f"it is no text in UTF-8 ({error.reason} at byte {error.start})") from None
-    hooks: dict[str, Any] = {"object_pairs_hook": objects or _each_name_once}
+    hooks: dict[str, Any] = {"object_pairs_hook": _each_name_once}
     if not non_finite:
         hooks["parse_constant"] = _finite
     if _LARGE_NUMBER.search(text):  # seldom; these hooks take as long as the rest of the parser

@@ -50,7 +50,7 @@ def slow(handler):
 @pytest.mark.parametrize(
     ("script", "fault"),
     [
-        (Script(replies=[(200, chat("I'm sorry, but I can't help with flying drones."))]), "refusal"),
+        (Script(replies=[(200, chat(None, refusal="I'm sorry, but I can't help with flying drones."))]), "refusal"),
         (Script(behave=slow), "timeout"),
     ],
     ids=["refusal", "timeout"],

@@ -27,33 +27,17 @@ def compile_blocks(network: OpenVlaNetwork, backend: Any = "inductor") -> None:
     compile_each(network.vision.dino.blocks, backend)
     compile_each(network.vision.siglip.blocks, backend)
     layers = network.language_model.model.layers
-    _forget_numbers(layers)
+    for layer in layers:
+        layer.self_attn.layer_idx = 0
     compile_each(layers, backend)
-
-
-def compiled_layers(layers: Iterable[Any], backend: Any) -> list[Any]:
-    """The layers of a language model of `transformers`, compiled beside themselves; each needs a memory of its own."""
-    layers = list(layers)
-    _forget_numbers(layers)
-    _allow_variants()
-    return [torch.compile(layer, dynamic=False, fullgraph=True, backend=backend) for layer in layers]
 
 
 def compile_each(blocks: Iterable[nn.Module], backend: Any) -> None:
     """Compile blocks of one kind in place."""
-    _allow_variants()
-    for block in blocks:
-        block.compile(dynamic=False, fullgraph=True, backend=backend)
-
-
-def _forget_numbers(layers: Iterable[Any]) -> None:
-    for layer in layers:
-        layer.self_attn.layer_idx = 0
-
-
-def _allow_variants() -> None:
     config: Any = torch._dynamo.config
     config.cache_size_limit = max(config.cache_size_limit, _VARIANTS)
+    for block in blocks:
+        block.compile(dynamic=False, fullgraph=True, backend=backend)
 
 
 def uncompile(network: nn.Module) -> None:

@@ -46,14 +46,11 @@ class LayerMemory:
 
         What else versions of transformers say, each in its way, is for their own caches.
         """
-        count = keys.shape[2]
         if self._place is None:
+            count = keys.shape[2]
             self._keys[:, :, :count], self._values[:, :, :count] = keys, values
             return keys, values
-        places = self._place[:, None, None, None]
-        if count > 1:
-            places = places + torch.arange(count, device=places.device)[:, None]
-        places = places.expand_as(keys)
+        places = self._place[:, None, None, None].expand_as(keys)
         self._keys.scatter_(2, places, keys)
         self._values.scatter_(2, places, values)
         return self._keys, self._values

@@ -119,16 +119,16 @@ def save(network: OpenVlaNetwork, folder: Path, statistics: Mapping[str, ActionS
     replace_file(folder / CONFIG, f"{json.dumps(table, indent=2)}\n".encode())
 
 
-def quantise(layers: nn.Module, quantisation: Quantisation, device: str | torch.device, extra: str = "openvla") -> None:
+def quantise(layers: nn.Module, quantisation: Quantisation, device: str | torch.device) -> None:
     """Quantise the weight matrices of a language model's layers, on `device`; activations stay unquantised.
 
     OpenVLA's towers, projector and embeddings keep their precision: they are a seventh of the weights.
-    Raises `MissingExtra`, which names the package's `extra`, if torchao is not installed (0.14 or newer, for 4 bits).
+    Raises `MissingExtra` if torchao is not installed (0.14 or newer, for 4 bits).
     """
     if quantisation == "none":
         return
     if importlib.util.find_spec("torchao") is None:
-        raise MissingExtra("torchao", extra)
+        raise MissingExtra("torchao", "openvla")
     library: Any = importlib.import_module("torchao.quantization")
     if quantisation == "int8":
         config = library.Int8WeightOnlyConfig()

@@ -1,5 +1,4 @@
 """The guard: a process of its own that alone owns the link, the modes and the rules of safety.
 
-`drone.py` is what the pilot process holds, `process.py` what the guard runs (`python -m` this package), `messages.py`
-what goes between the two.
+`drone.py` is what the pilot process holds; it starts `process.py` by `python -m`. `messages.py` is what goes between.
 """

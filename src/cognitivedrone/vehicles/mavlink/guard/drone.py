@@ -391,7 +391,7 @@ def _start(
         "OPENBLAS_NUM_THREADS": "1",
     }
     return subprocess.Popen(  # noqa: S603
-        [sys.executable, "-m", "cognitivedrone.vehicles.mavlink.guard", json.dumps(settings)],
+        [sys.executable, "-m", "cognitivedrone.vehicles.mavlink.guard.process", json.dumps(settings)],
         stdin=subprocess.DEVNULL,
         **inheriting([each for each in (theirs.fileno(), file) if each >= 0]),
         env=variables,

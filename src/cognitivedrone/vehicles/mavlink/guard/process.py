@@ -7,10 +7,12 @@ vehicle is under way: the handshake, and the take-off with its checklist. Whatev
 
 from __future__ import annotations
 
+import gc
 import os
 import select
 import signal
 import socket
+import sys
 import threading
 import time
 from collections import deque
@@ -21,7 +23,8 @@ import numpy as np
 
 from cognitivedrone.control.safety import Guard, SafetyConfig
 from cognitivedrone.errors import CognitiveDroneError, LinkError
-from cognitivedrone.system import HANG_UP, steady_s
+from cognitivedrone.system import HANG_UP, come_first, end_of, steady_s
+from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.vehicles.checklist import Checklist
 from cognitivedrone.vehicles.mavlink.client.connection import WATCH_S
 from cognitivedrone.vehicles.mavlink.client.core import FlightCore
@@ -36,6 +39,7 @@ from cognitivedrone.vehicles.mavlink.guard.messages import (
     MessageSocket,
     Reply,
     Snapshot,
+    from_json,
     to_json,
 )
 from cognitivedrone.vehicles.mavlink.telemetry import Telemetry, Text
@@ -345,3 +349,35 @@ def _speak(words: str) -> None:
     with suppress(OSError, ValueError):
         if select.select([], [2], [], 0)[1]:
             os.write(2, f"cognitivedrone guard: {words}\n".encode())
+
+
+def main() -> int:
+    """Guard by the JSON of the command line: the link's URL, the rules, how the vehicle is talked to, inherited files.
+
+    Returns the exit code.
+    """
+    settings = parse_json(sys.argv[1], non_finite=True)
+    end, framed = socket.socket(fileno=settings["pilot"]), settings["framed"]
+    end.setblocking(False)
+    pilot = MessageSocket(end, framed)
+    come_first()  # before the log has its thread, which holds the interpreter at times and must not be left waiting
+    log = PacketLog(open(settings["log"], "wb", buffering=0) if settings["log"] >= 0 else None)  # noqa: PTH123, SIM115
+    try:
+        guard = GuardProcess(
+            pilot,
+            settings["url"],
+            from_json(SafetyConfig, settings["safety"]),
+            from_json(MavlinkConfig, settings["config"]),
+            log,
+            end_of(settings["process"]),
+        )
+    except CognitiveDroneError as error:
+        with suppress(OSError):
+            pilot.send(Reply("failed", str(error)).pack())
+        return FAILED
+    gc.freeze()
+    return guard.run()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

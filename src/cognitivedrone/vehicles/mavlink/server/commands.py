@@ -144,7 +144,7 @@ class Commands:
 
     def _read_parameter(self, peer: Peer, message: Any) -> None:
         table, index = self._vehicle.parameters, message.param_index
-        name = message.param_id if index < 0 else table.names[index] if index < len(table) else None
+        name = message.param_id if index < 0 else list(table)[index] if index < len(table) else None
         if name in table:
             self._vehicle.send_parameter(peer, str(name))
 

@@ -1,17 +1,14 @@
 """Parameters of the simulated vehicle: a small set, each of which affects the simulation or describes it.
 
-Names, units and meanings are those of ArduCopter 4.6 (https://ardupilot.org/copter/docs/parameters.html); a vehicle
-that plays 4.7 shows its own (`autopilot.py`) to whoever asks.
+Names, units and meanings are those of ArduCopter 4.6 (https://ardupilot.org/copter/docs/parameters.html).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Literal, NamedTuple
 
 from cognitivedrone.sim.autopilot import AutopilotGains
-from cognitivedrone.vehicles.mavlink.autopilot import RENAMED, name_in
 
 Kind = Literal["int8", "int16", "float"]
 """ArduCopter's storage type."""
@@ -66,50 +63,20 @@ TABLE: dict[str, Parameter] = {
 """Built-in limits of the autopilot on acceleration, jerk and tilt are read-only."""
 
 
-class Parameters:
-    """The values of one vehicle. Inside it they are asked for as in `TABLE`; all else here is as others see them."""
+class Parameters(dict[str, float]):
+    """The values of one vehicle, by name."""
 
-    def __init__(self, firmware: tuple[int, int] = (4, 6)) -> None:
-        self._values = {name: entry.default for name, entry in TABLE.items()}
-        self._ours = {name_in(name, firmware): name for name in TABLE}
-        self.names = tuple(sorted(self._ours))
-
-    def __len__(self) -> int:
-        return len(self.names)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.names)
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._ours
-
-    def __getitem__(self, name: str) -> float:
-        """The value of an entry of `TABLE`."""
-        return self._values[name]
-
-    def reported(self, name: str) -> float:
-        """The value as it is sent."""
-        return self._newer(name, self._values[self._ours[name]])
-
-    def kind(self, name: str) -> Kind:
-        """The type that it is sent as; what has another unit than in 4.6 is a float."""
-        return TABLE[self._ours[name]].kind if self._newer(name, 1.0) == 1.0 else "float"
+    def __init__(self) -> None:
+        super().__init__((name, TABLE[name].default) for name in sorted(TABLE))
 
     def set(self, name: str, value: float) -> str | None:
         """Change a value; returns the reason as text if it is refused."""
-        ours = self._ours[name]
-        entry = TABLE[ours]
-        low, high = sorted((self._newer(name, entry.low), self._newer(name, entry.high)))
-        if low == high:
-            return None if math.isclose(value, self.reported(name), rel_tol=1e-6) else f"{name} cannot be changed here"
-        if not (math.isfinite(value) and low <= value <= high):
-            return f"{name} takes {low:g} to {high:g}"
-        if self.kind(name) != "float" and value != round(value):
+        entry = TABLE[name]
+        if entry.low == entry.high:
+            return None if math.isclose(value, entry.default, rel_tol=1e-6) else f"{name} cannot be changed here"
+        if not (math.isfinite(value) and entry.low <= value <= entry.high):
+            return f"{name} takes {entry.low:g} to {entry.high:g}"
+        if entry.kind != "float" and value != round(value):
             return f"{name} takes whole numbers"
-        self._values[ours] = value if name == ours else RENAMED[ours].older(value)
+        self[name] = value
         return None
-
-    def _newer(self, name: str, value: float) -> float:
-        """A value of `TABLE` as it is sent."""
-        ours = self._ours[name]
-        return value if name == ours else RENAMED[ours].newer(value)

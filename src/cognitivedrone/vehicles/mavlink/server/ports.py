@@ -5,18 +5,14 @@ Independent of MAVLink: bytes in, bytes out. Nothing here ever waits.
 
 from __future__ import annotations
 
-import contextlib
 import re
 import socket
-from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from typing import Any, TypeAlias
 
 from cognitivedrone.errors import RunError, did_you_mean
 
 Address: TypeAlias = tuple[str, int]
-MAX_PEERS = 8
-"""Maximum number of peers of a listening port; a ninth is ignored until another one leaves."""
 MAX_READS = 64
 """Datagrams or blocks read from one socket at a time, so that a flood cannot stop the simulation."""
 BLOCK = 2048
@@ -24,34 +20,80 @@ BLOCK = 2048
 _KINDS = ("udpout", "udpin", "tcpin")
 
 
-class Port(ABC):
-    """An open end of a link. Peers are identified by address."""
+class Port:
+    """An open end of a link: a UDP socket, to one peer or to any sender, or a listening TCP socket with connections.
 
-    address: Address
-    """Bound address."""
-    datagrams: bool
-    """Whether received blocks are complete: a packet never continues in the next one."""
+    Peers are identified by address.
+    """
 
-    @abstractmethod
+    def __init__(self, opened: socket.socket, *, datagrams: bool, only: Address | None = None) -> None:
+        self.address = _address(opened.getsockname())
+        """As bound."""
+        self.datagrams = datagrams
+        """Whether received blocks are complete: a packet never continues in the next one."""
+        self._socket, self._only = opened, only
+        self._connections: dict[Address, socket.socket] = {}
+
     def receive(self) -> Iterator[tuple[Address, bytes]]:
-        """Data received since the last call, with senders."""
+        """Data received since the last call, with senders; a datagram too long for a packet fails its checksum."""
+        if not self.datagrams:
+            self._accept()
+        sources = [(self._only, self._socket)] if self.datagrams else list(self._connections.items())
+        for peer, source in sources:
+            for _ in range(MAX_READS):
+                try:
+                    data, sender = source.recvfrom(BLOCK)
+                except BlockingIOError:
+                    break
+                except OSError:  # nothing listens there yet, or the connection has ended
+                    data, sender = b"", None
+                if data:
+                    yield peer or _address(sender), data
+                elif peer is not None and not self.datagrams:
+                    self._drop(peer)
+                    break
 
-    @abstractmethod
     def send(self, peer: Address, data: bytes) -> None:
-        """Send, or drop the data if the peer does not accept it in time."""
+        """Send, or drop the data if the peer does not accept it at once.
 
-    @abstractmethod
+        A connection that does not read is closed: a partial packet would corrupt the stream.
+        """
+        target = self._socket if self.datagrams else self._connections.get(peer)
+        if target is None:
+            return
+        try:
+            sent = target.sendto(data, peer) if self.datagrams and not self._only else target.send(data)
+        except OSError:
+            sent = 0
+        if not self.datagrams and sent != len(data):
+            self._drop(peer)
+
     def peers(self) -> tuple[Address, ...]:
         """Peers to send to before they have sent anything."""
+        return (self._only,) if self._only else tuple(self._connections)
 
-    @abstractmethod
     def sockets(self) -> list[socket.socket]:
         """Sockets to wait on for incoming data."""
+        return [self._socket, *self._connections.values()]
 
     def close(self) -> None:
         """Release the address."""
         for each in self.sockets():
             each.close()
+
+    def _drop(self, peer: Address) -> None:
+        if (connection := self._connections.pop(peer, None)) is not None:  # it may have gone while it was read
+            connection.close()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                connection, sender = self._socket.accept()
+            except OSError:  # no pending connection, or it was closed
+                return
+            connection.setblocking(False)
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._connections[_address(sender)] = connection
 
 
 def open_port(text: str) -> Port:
@@ -73,14 +115,14 @@ def open_port(text: str) -> Port:
         opened.setblocking(False)
         if kind == "udpout":
             opened.connect(target)  # also drops datagrams from other senders
-            return _Udp(opened, _address(target))
+            return Port(opened, datagrams=True, only=_address(target))
         if kind == "udpin":
             opened.bind(target)
-            return _Udp(opened, None)
+            return Port(opened, datagrams=True)
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         opened.bind(target)
-        opened.listen(MAX_PEERS)
-        return _Tcp(opened)
+        opened.listen()
+        return Port(opened, datagrams=False)
     except OSError as error:
         if opened is not None:
             opened.close()
@@ -88,102 +130,6 @@ def open_port(text: str) -> Port:
             f"the simulated vehicle cannot open {text} ({error.strerror}); another program may use the port: stop it,"
             " or give another port"
         ) from None
-
-
-class _Udp(Port):
-    """UDP, either to one peer or from any sender."""
-
-    datagrams = True
-
-    def __init__(self, opened: socket.socket, only: Address | None) -> None:
-        self._socket, self._only = opened, only
-        self.address = _address(opened.getsockname())
-
-    def receive(self) -> Iterator[tuple[Address, bytes]]:
-        """Datagrams; one longer than any MAVLink packet is truncated and fails its checksum."""
-        for _ in range(MAX_READS):
-            try:
-                data, sender = self._socket.recvfrom(BLOCK)
-            except BlockingIOError:
-                return
-            except ConnectionError:
-                continue  # nothing listens there yet
-            if data:
-                yield self._only or _address(sender), data
-
-    def send(self, peer: Address, data: bytes) -> None:
-        with contextlib.suppress(BlockingIOError, ConnectionError):
-            if self._only:
-                self._socket.send(data)
-            else:
-                self._socket.sendto(data, peer)
-
-    def peers(self) -> tuple[Address, ...]:
-        return (self._only,) if self._only else ()
-
-    def sockets(self) -> list[socket.socket]:
-        return [self._socket]
-
-
-class _Tcp(Port):
-    """A listening TCP socket and its connections."""
-
-    datagrams = False
-
-    def __init__(self, listener: socket.socket) -> None:
-        self._listener = listener
-        self.address = _address(listener.getsockname())
-        self._connections: dict[Address, socket.socket] = {}
-
-    def receive(self) -> Iterator[tuple[Address, bytes]]:
-        """Blocks from every connection; connections beyond `MAX_PEERS` are closed at once."""
-        self._accept()
-        for peer, connection in list(self._connections.items()):
-            for _ in range(MAX_READS):
-                try:
-                    data = connection.recv(BLOCK)
-                except BlockingIOError:
-                    break
-                except OSError:
-                    data = b""
-                if not data:
-                    self._drop(peer)
-                    break
-                yield peer, data
-
-    def send(self, peer: Address, data: bytes) -> None:
-        """Send to one connection; one that does not read is closed: a partial packet would corrupt the stream."""
-        if (connection := self._connections.get(peer)) is None:
-            return
-        try:
-            whole = connection.send(data) == len(data)
-        except OSError:
-            whole = False
-        if not whole:
-            self._drop(peer)
-
-    def peers(self) -> tuple[Address, ...]:
-        return tuple(self._connections)
-
-    def sockets(self) -> list[socket.socket]:
-        return [self._listener, *self._connections.values()]
-
-    def _drop(self, peer: Address) -> None:
-        if (connection := self._connections.pop(peer, None)) is not None:  # it may have gone while it was read
-            connection.close()
-
-    def _accept(self) -> None:
-        while True:
-            try:
-                connection, sender = self._listener.accept()
-            except OSError:  # no pending connection, or it was closed
-                return
-            if len(self._connections) >= MAX_PEERS:
-                connection.close()
-                continue
-            connection.setblocking(False)
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self._connections[_address(sender)] = connection
 
 
 def _address(raw: Any) -> Address:

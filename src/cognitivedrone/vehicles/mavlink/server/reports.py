@@ -18,6 +18,8 @@ LATITUDE, LONGITUDE, ALTITUDE_M = -35.363262, 149.165237, 584.0
 """Of the vehicle's initial position, degrees and m above sea level: ArduPilot's airfield."""
 METRES_PER_DEGREE = 111_319.5
 """Metres per degree of latitude, and of longitude at the equator: ArduPilot's flat earth around home."""
+FIRMWARE = 4, 6
+"""The version of ArduCopter that it says it is."""
 _EKF_HEALTHY = 0x33F  # attitude, velocities, positions, predictions: as a healthy ArduCopter reports
 
 
@@ -31,8 +33,6 @@ class VehicleSnapshot:
     modes: FlightModes
     battery: float
     """0 to 1."""
-    firmware: tuple[int, int]
-    """Major and minor version."""
 
     @property
     def boot_ms(self) -> int:
@@ -157,13 +157,13 @@ def _target(m: Any, s: VehicleSnapshot) -> Any:
     )
 
 
-def _version(m: Any, s: VehicleSnapshot) -> Any:
+def _version(m: Any, _s: VehicleSnapshot) -> Any:
     capabilities = (
         m.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
         | m.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_LOCAL_NED
         | m.MAV_PROTOCOL_CAPABILITY_MAVLINK2
     )
-    version = s.firmware[0] << 24 | s.firmware[1] << 16 | 0 << 8 | m.FIRMWARE_VERSION_TYPE_DEV
+    version = FIRMWARE[0] << 24 | FIRMWARE[1] << 16 | m.FIRMWARE_VERSION_TYPE_DEV
     return m.MAVLink_autopilot_version_message(
         capabilities, version, 0, 0, 0, list(SIMULATED), [0] * 8, [0] * 8, 0, 0, 0
     )

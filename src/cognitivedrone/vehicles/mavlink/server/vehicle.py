@@ -24,8 +24,8 @@ from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.types import DroneState, FloatArray, Image
 from cognitivedrone.vehicles.mavlink.server.commands import Commands, Peer
 from cognitivedrone.vehicles.mavlink.server.modes import FlightModes, Mode, Severity
-from cognitivedrone.vehicles.mavlink.server.parameters import Parameters
-from cognitivedrone.vehicles.mavlink.server.ports import MAX_PEERS, Address, Port, open_port
+from cognitivedrone.vehicles.mavlink.server.parameters import TABLE, Parameters
+from cognitivedrone.vehicles.mavlink.server.ports import Address, Port, open_port
 from cognitivedrone.vehicles.mavlink.server.reports import REPORTS, VehicleSnapshot, battery_volts
 from cognitivedrone.vehicles.mavlink.telemetry import dialect
 
@@ -34,8 +34,6 @@ STEP_S = STEP_TICKS * BatchedFlight.TICK_S
 """Period of `SimulatedVehicle.step`, s."""
 SYSTEM, COMPONENT = 1, 1
 """The vehicle's ids; the component is MAV_COMP_ID_AUTOPILOT1."""
-MAX_MESSAGES = 200
-"""Maximum number of messages processed per port and step; the rest of a flood is dropped."""
 FORGET_S = 30.0
 """A UDP peer that is silent for this long is forgotten."""
 _PARAMETERS_PER_STEP = 4
@@ -50,8 +48,6 @@ class VehicleConfig:
     links: tuple[str, ...] = ("udpout:127.0.0.1:14550", "tcpin:127.0.0.1:5760")
     """`udpout:host:port` sends first, as a listening ground station expects; `udpin` and `tcpin` listen. There is no
     authentication: use addresses other than the loopback only on purpose."""
-    firmware: tuple[int, int] = (4, 6)
-    """The version of ArduCopter that it says it is: since 4.7 parameters have other names, units and senses."""
     battery_minutes: float = 15.0
     """Flight time of a full battery."""
 
@@ -86,10 +82,10 @@ class SimulatedVehicle:
         self._m = dialect()
         self._lock = threading.RLock()
         self._steps = 0
-        self.parameters = Parameters(self.config.firmware)
+        self.parameters = Parameters()
         self.modes = FlightModes(self.parameters, self._stand(), self.say)
         self._commands = Commands(self._m, self)
-        self._peers: list[Peer] = []
+        self._peers: dict[tuple[Port, Address], Peer] = {}
         self._ports: list[Port] = []
         try:
             for text in self.config.links:
@@ -156,7 +152,7 @@ class SimulatedVehicle:
         """Send a STATUSTEXT to all peers, truncated to the protocol's 50 characters."""
         payload = text.encode("ascii", "replace")[:50]
         with self._lock:
-            for peer in list(self._peers):
+            for peer in list(self._peers.values()):
                 peer.mav.statustext_send(int(severity), payload)
 
     def sockets(self) -> list[Any]:
@@ -166,14 +162,14 @@ class SimulatedVehicle:
 
     def snapshot(self) -> VehicleSnapshot:
         """The current state, for reports."""
-        return VehicleSnapshot(self.time, self.simulator.state(0), self.modes, self.battery, self.config.firmware)
+        return VehicleSnapshot(self.time, self.simulator.state(0), self.modes, self.battery)
 
     def close(self) -> None:
         """Release the ports."""
         with self._lock:
             for port in self._ports:
                 port.close()
-            self._ports, self._peers = [], []
+            self._ports, self._peers = [], {}
 
     def _stand(self) -> FloatArray:
         """Put the drone on the floor and let it come to rest; returns its position (3,), world, m."""
@@ -188,29 +184,25 @@ class SimulatedVehicle:
         return position
 
     def _listen_at(self, port: Port) -> None:
-        heeded = 0
         for address in port.peers():
-            self._peer(port, address)
+            if (port, address) not in self._peers:
+                self._greet(self._new_peer(port, address))
         for address, data in port.receive():
             # An unknown sender gets a parser for this datagram only, and becomes a peer with its first valid packet.
-            peer = self._find(port, address) or self._new_peer(port, address)
-            if port.datagrams or len(peer.mav.buf) > 65536:
+            peer = self._peers.get((port, address)) or self._new_peer(port, address)
+            if port.datagrams:
                 peer.mav.buf, peer.mav.buf_index = bytearray(), 0
             for message in peer.mav.parse_buffer(data) or ():
-                heeded += 1
-                if heeded > MAX_MESSAGES or message.get_type() == "BAD_DATA" or not self._for_us(message):
+                if message.get_type() == "BAD_DATA" or not self._for_us(message):
                     continue
-                if self._keep(peer):
-                    peer.received_at = self.time
-                    self._commands.heed(peer, message)
-        connected = set(port.peers())
-        self._peers = [
-            peer
-            for peer in self._peers
-            if peer.port is not port
-            or peer.address in connected
-            or (port.datagrams and self.time - peer.received_at < FORGET_S)
-        ]
+                if (port, address) not in self._peers:
+                    self._greet(peer)
+                peer.received_at = self.time
+                self._commands.heed(peer, message)
+        for peer in [peer for (its, _), peer in self._peers.items() if its is port]:
+            silent = not port.datagrams or self.time - peer.received_at >= FORGET_S
+            if silent and peer.address not in port.peers():
+                del self._peers[port, peer.address]
 
     def _for_us(self, message: Any) -> bool:
         """Whether a message is addressed to this vehicle or to all, and is not its own."""
@@ -218,33 +210,21 @@ class SimulatedVehicle:
         component = getattr(message, "target_component", 0)
         return message.get_srcSystem() != SYSTEM and system in (0, SYSTEM) and component in (0, COMPONENT)
 
-    def _find(self, port: Port, address: Address) -> Peer | None:
-        return next((peer for peer in self._peers if peer.port is port and peer.address == address), None)
-
     def _new_peer(self, port: Port, address: Address) -> Peer:
         peer = Peer(port, address, None, self.time)
         peer.mav = self._m.MAVLink(peer, srcSystem=SYSTEM, srcComponent=COMPONENT)
         peer.mav.robust_parsing = True
         return peer
 
-    def _peer(self, port: Port, address: Address) -> None:
-        """Add a peer that receives messages before it has sent any."""
-        if self._find(port, address) is None:
-            self._keep(self._new_peer(port, address))
-
-    def _keep(self, peer: Peer) -> bool:
-        """Whether `peer` is known; adds it if there is room."""
-        if peer not in self._peers:
-            if sum(other.port is peer.port for other in self._peers) >= MAX_PEERS:
-                return False
-            self._peers.append(peer)
-            peer.mav.statustext_send(int(Severity.INFO), b"CognitiveDrone: a simulated copter")
-        return True
+    def _greet(self, peer: Peer) -> None:
+        """Add a peer, and say what it talks to."""
+        self._peers[peer.port, peer.address] = peer
+        peer.mav.statustext_send(int(Severity.INFO), b"CognitiveDrone: a simulated copter")
 
     def _report(self) -> None:
         """Send every report that is due."""
         snapshot: VehicleSnapshot | None = None
-        for peer in list(self._peers):
+        for peer in list(self._peers.values()):
             for name in [peer.parameters.popleft() for _ in range(min(_PARAMETERS_PER_STEP, len(peer.parameters)))]:
                 self.send_parameter(peer, name)
             for name, rate in peer.rates.items():
@@ -260,7 +240,7 @@ class SimulatedVehicle:
         m = self._m
         kind = {"int8": m.MAV_PARAM_TYPE_INT8, "int16": m.MAV_PARAM_TYPE_INT16, "float": m.MAV_PARAM_TYPE_REAL32}
         p = self.parameters
-        peer.mav.param_value_send(name.encode(), p.reported(name), kind[p.kind(name)], len(p), p.names.index(name))
+        peer.mav.param_value_send(name.encode(), p[name], kind[TABLE[name].kind], len(p), list(p).index(name))
 
 
 def serve(

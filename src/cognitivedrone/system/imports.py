@@ -1,4 +1,4 @@
-"""A file of the user's that has the name of a module of Python or of this package's libraries, and is imported for it.
+"""What is seen to before libraries are imported: files of the user's that hide them, and their reports to their makers.
 
 Python looks in PYTHONPATH and beside a script before it looks for its own modules. Nothing that could be hidden is
 imported here.
@@ -27,3 +27,20 @@ def hidden_module() -> str:
         if not installed and not any(place.startswith(folder + os.sep) for folder in ours):
             return f"{file} hides the module {name!r} that this package needs; give it another name"
     return ""
+
+
+SWITCHES = {
+    "ORT_DISABLE_TELEMETRY": "1",  # ONNX Runtime from 1.29 on: a device id, events, its maker's host
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "HF_HUB_DISABLE_TELEMETRY": "1",  # Transformers and LeRobot, by way of huggingface_hub
+}
+"""Environment variables with the value that switches a library's reports off. Child processes inherit them."""
+
+
+def switch_off() -> None:
+    """Switch the reports off, in this process and its children; where the user has set a variable, that counts.
+
+    For what is loaded afterwards: libraries read the variables once.
+    """
+    for name, value in SWITCHES.items():
+        os.environ.setdefault(name, value)
