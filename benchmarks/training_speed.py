@@ -27,12 +27,11 @@ from PIL import Image
 
 from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.errors import CognitiveDroneError
+from cognitivedrone.training.launch import find_recipe
 from cognitivedrone.training.perception import readings
 from cognitivedrone.training.reasoner.selector import SelectorRecipe
-from cognitivedrone.training.recipes import find_recipe
 from cognitivedrone.training.small_vla.language import LanguageRecipe
-from cognitivedrone.training.trainer.checkpoint import CHECKPOINT
-from cognitivedrone.training.trainer.run_log import METRICS, read_rows
+from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, METRICS, read_rows
 from cognitivedrone.training.trainer.trainer import TrainConfig, train
 from cognitivedrone.training.trainer.training_task import Given, Row, TrainingTask
 

@@ -5,7 +5,7 @@ Run: python examples/gym_mission.py
 
 import gymnasium
 
-from cognitivedrone.control.landing import Lander
+from cognitivedrone.control.planning import Lander
 from cognitivedrone.policies import make_policy
 from cognitivedrone.tasks.missions import lands, sub_goals
 from cognitivedrone.types import EpisodeContext, Observation

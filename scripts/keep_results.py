@@ -23,8 +23,7 @@ from cognitivedrone.audit.catalogue import AUDITS
 from cognitivedrone.audit.run import AUDIT_FILE
 from cognitivedrone.benchmark.measurements import Measurement, measurement, write_measurement
 from cognitivedrone.benchmark.reasoning.reason import SUMMARY_FILE
-from cognitivedrone.benchmark.scores.codec import dumps
-from cognitivedrone.benchmark.scores.results import RESULTS_FILE, read_results
+from cognitivedrone.benchmark.scores.results import RESULTS_FILE, dumps, read_results
 from cognitivedrone.benchmark.submission import submission_of, write_submission
 from cognitivedrone.errors import RunError
 

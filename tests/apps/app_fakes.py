@@ -16,10 +16,9 @@ from rich.console import Console
 
 from cognitivedrone.apps.config import FlyPlan, SimPlan
 from cognitivedrone.apps.fly import fly_mission
-from cognitivedrone.apps.mjpeg import FrameServer
 from cognitivedrone.apps.orders import Orders
 from cognitivedrone.apps.values import Summary
-from cognitivedrone.apps.vehicle import Served, serve_vehicle
+from cognitivedrone.apps.vehicle import FrameServer, Served, serve_vehicle
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.pilot import Pilot
 from cognitivedrone.policies.baselines import Hover

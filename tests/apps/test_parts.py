@@ -21,9 +21,9 @@ from waiting import soon
 
 from cognitivedrone.apps.config import FlyPlan
 from cognitivedrone.apps.log import FlightLog
-from cognitivedrone.apps.mjpeg import MOST_VIEWERS, FrameServer
 from cognitivedrone.apps.orders import Keyboard, Orders, landing_on_interrupt
 from cognitivedrone.apps.values import Ending, Status, Step, Summary
+from cognitivedrone.apps.vehicle import MOST_VIEWERS, FrameServer
 from cognitivedrone.apps.view import EVENTS_SHOWN, Instruments, Printer, summary_table
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.cli.scoring import ViewPlan

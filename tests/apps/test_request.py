@@ -64,6 +64,7 @@ def test_any_of_several_may_be_meant():
     assert asked("the yellow fruit") == {"food/banana", "food/lemon"}
     assert asked("a vegetable that isn't green").isdisjoint(asked("the green vegetable"))
     assert asked("fly to the robin") == {"birds/robin", "birds/robin_2"}
+    assert asked("an odd number less than 6, please") == {"number/1", "number/3", "number/5"}
     assert asked("the gate with a number bigger than 10") == {f"number/{number}" for number in range(11, 21)}
     assert {"animal/owl", "animal/penguin"} <= asked("Fly through the gate with the bird")
 

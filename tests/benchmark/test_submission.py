@@ -15,8 +15,7 @@ import pytest
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.measurements import markdown
 from cognitivedrone.benchmark.runs.runner import run
-from cognitivedrone.benchmark.scores.codec import decode, encode
-from cognitivedrone.benchmark.scores.results import read_results
+from cognitivedrone.benchmark.scores.results import decode, encode, read_results
 from cognitivedrone.benchmark.submission import (
     Rate,
     Verified,

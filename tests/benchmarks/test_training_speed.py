@@ -18,10 +18,10 @@ import training_speed
 from quick_trainings import SMALL_SELECTOR, TINY_READER, InProcess, make_small
 
 from cognitivedrone.benchmark.measurements import read_measurement
-from cognitivedrone.training.recipes import ALL_RECIPES, RECIPES
+from cognitivedrone.training.launch import ALL_RECIPES, RECIPES
 from cognitivedrone.training.small_vla.language import DEBUG_LANGUAGE
 from cognitivedrone.training.teach.training import TEACH
-from cognitivedrone.training.trainer import run_log, trainer
+from cognitivedrone.training.trainer import checkpoint, trainer
 
 FLIGHT: Any = ALL_RECIPES["flight"]
 SMALL = {
@@ -40,7 +40,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     make_small(monkeypatch)
     monkeypatch.setattr(trainer, "PrefetchQueue", InProcess)
-    monkeypatch.setattr(run_log, "draw_curves", lambda rows, path: None)
+    monkeypatch.setattr(checkpoint, "draw_curves", lambda rows, path: None)
     monkeypatch.setattr(training_speed, "find_recipe", SMALL.__getitem__)
     monkeypatch.setattr(training_speed, "ROUND_STEPS", 1)
     monkeypatch.setattr(training_speed, "FEW", 4)

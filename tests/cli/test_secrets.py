@@ -13,7 +13,7 @@ from cognitivedrone.benchmark.config import Plan, ReasonPlan
 from cognitivedrone.benchmark.reasoning import reason
 from cognitivedrone.benchmark.runs import runner
 from cognitivedrone.benchmark.runs.job import resolve
-from cognitivedrone.benchmark.scores.codec import dumps
+from cognitivedrone.benchmark.scores.results import dumps
 from cognitivedrone.collect.collector import Learner
 from cognitivedrone.plan import PilotSpec
 from cognitivedrone.play.flight import command_line

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cognitivedrone.control.landing import Lander, pad_in
+from cognitivedrone.control.planning import Lander, pad_in
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner
 from cognitivedrone.envs.worlds import SimulatedDrone
 from cognitivedrone.labels import load_pack
-from cognitivedrone.sim.drone_world import Start
 from cognitivedrone.sim.gate_monitor import judge
-from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.sim.simulator import Simulator, Start
 from cognitivedrone.tasks.families.mission_tasks import landing_task
 from cognitivedrone.types import Color, Observation, Stage
 from cognitivedrone.world import geometry

@@ -15,7 +15,7 @@ from factory import make_episode
 from PIL import Image
 from tests.test_pictures import png_of
 
-from cognitivedrone.collect.importing import import_set
+from cognitivedrone.collect.replay import import_set
 from cognitivedrone.data.episode import Episode
 from cognitivedrone.data.formats import EXPORTS, export, import_, lerobot, rlds
 from cognitivedrone.data.formats.exchange import check_image, check_size

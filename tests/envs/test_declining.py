@@ -10,8 +10,8 @@ from cognitivedrone.envs.track_runner import DECLINED_S, TrackConfig, TrackRunne
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies.expert import Expert
 from cognitivedrone.reasoners.oracle import Oracle
-from cognitivedrone.sim.drone_world import DroneWorld
 from cognitivedrone.sim.gate_monitor import GateEvent, GateMonitor
+from cognitivedrone.sim.simulator import DroneWorld
 from cognitivedrone.tasks import load_suite, train_task
 from cognitivedrone.types import DroneState, EpisodeContext, Event
 

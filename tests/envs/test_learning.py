@@ -8,8 +8,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from cognitivedrone.envs.gym import CognitiveDroneEnv
-from cognitivedrone.envs.learning import FAILED, PASSED, STATE
 from cognitivedrone.envs.vector import CognitiveDroneVectorEnv
+from cognitivedrone.envs.wrappers import FAILED, PASSED, STATE
 from cognitivedrone.errors import SimulationError
 
 LEARNING: dict[str, Any] = {"observe": "state", "reward": "progress"}

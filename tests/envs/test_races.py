@@ -9,8 +9,7 @@ import pytest
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies.expert import Expert
-from cognitivedrone.sim.drone_world import Start
-from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.sim.simulator import Simulator, Start
 from cognitivedrone.tasks import race_task
 from cognitivedrone.types import Color, EpisodeContext, Gate, Image, Task, Track
 from cognitivedrone.world import geometry

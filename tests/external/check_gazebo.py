@@ -21,7 +21,7 @@ from cognitivedrone.errors import GazeboError
 from cognitivedrone.frames import wrap_angle, yaw_of
 from cognitivedrone.labels import load_pack
 from cognitivedrone.sim.drawing.camera import Cameras
-from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, Start
+from cognitivedrone.sim.simulator import TICKS_PER_CONTROL, Start
 from cognitivedrone.tasks import open_suite
 from cognitivedrone.types import CONTROL_HZ, DroneState, Stage
 from cognitivedrone.vehicles.gazebo.flight import URL, GazeboFlight, open_gazebo

@@ -16,7 +16,7 @@ from cognitivedrone.film.movie import END_S, FPS, LONGEST_S, pictures, read_mp4,
 from cognitivedrone.film.overlays import READING
 from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.reasoners.scene_text import UNREADABLE
-from cognitivedrone.sim.drone_world import Scenery
+from cognitivedrone.sim.simulator import Scenery
 from cognitivedrone.types import Event, Gate, Guidance, SeenPanel, Stage
 
 GATES = (Gate("big", "round", "red"), Gate("small", "square", "blue"), Gate("big", "triangle", "green"))

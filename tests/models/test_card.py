@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.models.card import in_memory, remarks, warn, why_none
+from cognitivedrone.models.compiling import in_memory, remarks, warn, why_none
 
 SLOW = "so it takes longer"
 FULL = "CUDA out of memory. Tried to allocate 2.00 GiB.\nGPU 0 has a total capacity"

@@ -15,12 +15,11 @@ import pytest
 from tiny import DESCRIPTION, graph, tiny_eyes, tiny_model
 
 from cognitivedrone.errors import PolicyError
-from cognitivedrone.models.checksum import BLANK, MARK, check, seal
 from cognitivedrone.models.eyes.obstacle_eye import ObstacleEye
 from cognitivedrone.models.eyes.picture_classifier import PictureClassifier
 from cognitivedrone.models.eyes.sight import EyesModel
 from cognitivedrone.models.mind import Mind
-from cognitivedrone.models.onnx_file import KEY
+from cognitivedrone.models.onnx_file import BLANK, KEY, MARK, check, seal
 from cognitivedrone.models.small_file import KIND, SmallModel, describe, read_description
 from cognitivedrone.models.words.concepts import ConceptsModel
 from cognitivedrone.models.words.selector_file import GateSelectorModel

@@ -97,7 +97,7 @@ def test_a_table_that_another_encoder_read_is_refused(model):
 
 def test_the_packaged_table_is_that_of_the_file(model):
     pytest.importorskip("torch")
-    from cognitivedrone.training.language.concepts import concepts
+    from cognitivedrone.training.small_vla.concepts import concepts
 
     table = concepts()
     assert [f"concept/thing:{each.name}" for each in table if each.kind == "thing"] == list(model.things)
@@ -117,7 +117,7 @@ def test_the_packaged_table_is_that_of_the_file(model):
 )
 def test_a_broken_table_is_refused_in_a_sentence(line, says):
     pytest.importorskip("torch")
-    from cognitivedrone.training.language.concepts import concepts
+    from cognitivedrone.training.small_vla.concepts import concepts
 
     with pytest.raises(TrainingError, match=says):
         concepts(f"kind,name,classes,definition\n{line}\n")

@@ -25,8 +25,7 @@ from tiny import (
 )
 
 from cognitivedrone.errors import MissingExtra, PolicyError
-from cognitivedrone.models.checksum import BLANK, seal
-from cognitivedrone.models.onnx_file import KEY
+from cognitivedrone.models.onnx_file import BLANK, KEY, seal
 from cognitivedrone.models.small_file import KIND, SmallModel, describe, read_description
 
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from cognitivedrone.models.words.text import words_of
+from cognitivedrone.models.words.text_encoder import words_of
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 
 from cognitivedrone.film.frame import Scene
 from cognitivedrone.play.board import scene_table
-from cognitivedrone.sim.drone_world import Scenery
+from cognitivedrone.sim.simulator import Scenery
 from cognitivedrone.types import Gate, GatePlace, Stage
 
 GATES = (Gate("big", "round", "red"), Gate("small", "square", "green"), Gate("big", "triangle", "blue"))

@@ -10,7 +10,7 @@ from cognitivedrone.errors import RenderError
 from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.sim.drawing.chase import ChaseView
-from cognitivedrone.sim.drone_world import Scenery
+from cognitivedrone.sim.simulator import Scenery
 from cognitivedrone.types import Gate, GatePlace, Obstacle, Stage
 
 LEVEL = quaternion_from_yaw(0.0)

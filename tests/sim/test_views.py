@@ -5,7 +5,7 @@ from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.sim.drawing.chase import ChaseView
 from cognitivedrone.sim.drawing.views import first_person_view, top_view
-from cognitivedrone.sim.drone_world import Scenery
+from cognitivedrone.sim.simulator import Scenery
 from cognitivedrone.types import DroneState, Gate, Stage
 from cognitivedrone.world import geometry
 

@@ -18,7 +18,7 @@ from cognitivedrone.training.reasoner.reader import READER
 from cognitivedrone.training.reasoner.selector import DEBUG_SELECTOR
 from cognitivedrone.training.small_vla import export
 from cognitivedrone.training.small_vla.policy import PolicyTraining
-from cognitivedrone.training.trainer import run_log, trainer
+from cognitivedrone.training.trainer import checkpoint, trainer
 from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint, restore, save_checkpoint
 from cognitivedrone.training.trainer.prefetch import learner_path
 from cognitivedrone.training.trainer.trainer import TrainConfig, train
@@ -97,7 +97,7 @@ def train_here(
     """Train in this process alone, and draw no curves; returns the checkpoint."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(trainer, "PrefetchQueue", InProcess)
-        patch.setattr(run_log, "draw_curves", lambda rows, path: None)
+        patch.setattr(checkpoint, "draw_curves", lambda rows, path: None)
         return train(TrainConfig(out, task, seed=seed, resume=resume), report)
 
 

@@ -85,7 +85,7 @@ def policy_checkpoint(tmp_path_factory: pytest.TempPathFactory, language_checkpo
     from quick_trainings import saved
 
     from cognitivedrone.models.words.text_encoder import FILE
-    from cognitivedrone.training.recipes import RECIPES
+    from cognitivedrone.training.launch import RECIPES
     from cognitivedrone.training.trainer.checkpoint import CHECKPOINT
     from cognitivedrone.training.trainer.training_task import Given
 
@@ -117,8 +117,7 @@ def reasoner_parts(tmp_path_factory: pytest.TempPathFactory, policy_file: Path) 
     from quick_trainings import SMALL_SELECTOR, InProcess
 
     from cognitivedrone.training.config import TrainPlan
-    from cognitivedrone.training.launch import run
-    from cognitivedrone.training.recipes import ALL_RECIPES
+    from cognitivedrone.training.launch import ALL_RECIPES, run
     from cognitivedrone.training.trainer import trainer
 
     def make(folder: Path) -> None:

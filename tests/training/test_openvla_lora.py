@@ -46,8 +46,7 @@ from cognitivedrone.training.openvla.adapters import (
 from cognitivedrone.training.openvla.data import SampleMaker, answer_measures, open_flights, rows_of_step
 from cognitivedrone.training.openvla.lora import MERGED, FineTuning, fine_tune, merge
 from cognitivedrone.training.openvla.recipes import LORA_RECIPES, PAPER, LoraRecipe, find_lora_recipe
-from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint
-from cognitivedrone.training.trainer.run_log import DIMENSIONS, METRICS, read_rows
+from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, DIMENSIONS, METRICS, read_checkpoint, read_rows
 
 # A rate at which a tiny network changes in six steps.
 RECIPE = replace(LORA_RECIPES["debug"], learning_rate=5e-3, validate_every=4)

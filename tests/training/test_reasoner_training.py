@@ -28,8 +28,7 @@ from cognitivedrone.training.perception.readings import Readings, readings_of
 from cognitivedrone.training.reasoner.reader import ReaderTraining
 from cognitivedrone.training.reasoner.selector import SELECTOR, SelectorTraining, look_of, scene_of
 from cognitivedrone.training.reasoner.selector_files import PACKAGE, export_selector, trained_selector
-from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint
-from cognitivedrone.training.trainer.run_log import METRICS, read_rows
+from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, METRICS, read_checkpoint, read_rows
 from cognitivedrone.training.trainer.start import read_start
 from cognitivedrone.training.trainer.training_task import Batch, Given, to_tensors
 from cognitivedrone.types import COLORS, SHAPES, SIZES, EpisodeContext, Gate

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from cognitivedrone.errors import LinkError, PolicyError, RunError
 from cognitivedrone.frames import quaternion_from_yaw, wrap_angle, yaw_of
 from cognitivedrone.sim.airframe import IRIS
-from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, Start
 from cognitivedrone.sim.dynamics import BatchedFlight
+from cognitivedrone.sim.simulator import TICKS_PER_CONTROL, Start
 from cognitivedrone.types import DroneState
 from cognitivedrone.vehicles.contract import LinkReport
 from cognitivedrone.vehicles.simulated import placed

@@ -19,8 +19,7 @@ from rich.live import Live
 
 from cognitivedrone import terminal
 from cognitivedrone.apps.config import FlyPlan
-from cognitivedrone.apps.film import film_flight
-from cognitivedrone.apps.log import FlightLog, check_free
+from cognitivedrone.apps.log import FlightLog, check_free, film_flight
 from cognitivedrone.apps.mission import UNKEPT, Mission, Recorder, kept_by_none
 from cognitivedrone.apps.orders import Keyboard, Orders, ending_on_signals, landing_on_interrupt, readable
 from cognitivedrone.apps.understanding.evidence import Evidence, taught_names

@@ -8,6 +8,8 @@
 | `flight.tlog` | for a MAVLink vehicle: everything received and sent, for ground stations |
 | `bag/` | on request: a ROS 2 bag (`apps/bag.py`) |
 | `flight.json` | the options of the flight and how it ended |
+
+The film and the page of a flight, made from its log once it is over.
 """
 
 from __future__ import annotations
@@ -21,22 +23,29 @@ from contextlib import suppress
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import av
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from rich.console import Console
 
 from cognitivedrone.apps.bag import BagLog
-from cognitivedrone.apps.values import Step, Summary
+from cognitivedrone.apps.config import FlyPlan
+from cognitivedrone.apps.values import EndKind, Step, Summary
+from cognitivedrone.apps.view import SILENT, say
 from cognitivedrone.data.formats.mcap import Ros
-from cognitivedrone.errors import RunError
+from cognitivedrone.errors import CognitiveDroneError, RunError
 from cognitivedrone.files import create, replace_file, replacing, writing
-from cognitivedrone.film.frame import FilmFrame
-from cognitivedrone.film.movie import read_mp4
+from cognitivedrone.film.frame import Film, FilmFrame, Scene, Verdict
+from cognitivedrone.film.movie import read_mp4, write_flight
 from cognitivedrone.frames import quaternion_from_yaw
 from cognitivedrone.interfaces import Reasoner
+from cognitivedrone.sim.airframe import find_airframe
+from cognitivedrone.tasks.missions import is_mission, sub_goals
+from cognitivedrone.terminal import console as stderr_console
+from cognitivedrone.terminal.progress import counted
 from cognitivedrone.text.printable import shown_address, without_secrets
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Event, Image, SeenPanel
 
@@ -252,3 +261,44 @@ class _Film:
             self._container.mux(self._stream.encode(frame))
         except (av.error.FFmpegError, OSError):
             self._broken = True
+
+
+_HEADLINES: dict[EndKind, str] = {
+    "passed": "Passed", "flown": "Flown: you judge", "missed": "Failed", "unsure": "Unsure: it hovered",
+    "ordered": "Landed by order", "time": "Out of time", "vehicle": "Ended by the vehicle",
+    "interrupted": "Interrupted",
+}  # fmt: skip
+
+
+def verdict_of_flight(summary: Summary) -> Verdict:
+    """How a flight ended, in a few words."""
+    kind, reason = summary.ending.kind, summary.ending.reason
+    rating: Literal["good", "bad", "open"] = "open"
+    if kind in ("passed", "missed", "unsure", "vehicle"):
+        rating = "good" if kind == "passed" else "bad"
+    lines = tuple(filter(None, (reason, f"{summary.seconds:.1f} s flown")))
+    return Verdict(rating, _HEADLINES[kind], lines)
+
+
+def film_flight(plan: FlyPlan, log: FlightLog, scenes: Sequence[Scene], summary: Summary, console: Console) -> None:
+    """Write flight.mp4 and flight.html beside the log. A failure is reported, and the flight counts without them."""
+    pilot = plan.pilot.shown
+    film = Film(
+        f"{pilot.policy} + {pilot.reasoner} on {plan.vehicle.link}"
+        + (f": {plan.instruction}" if is_mission(sub_goals(plan.instruction)) else ""),
+        _counted(log, summary.steps),
+        scenes,
+        verdict_of_flight(summary),
+        [event for event in log.events if event.kind not in SILENT],
+    )
+    try:
+        write_flight(log.out, film, find_airframe(plan.scenario.airframe))
+    except (CognitiveDroneError, av.error.FFmpegError) as error:
+        say(console, f"no film: {error}")
+    except KeyboardInterrupt:
+        say(console, "no film: stopped")
+
+
+def _counted(log: FlightLog, steps: int) -> Iterator[FilmFrame]:
+    """The frames, with a bar on a terminal."""
+    return iter(counted(log.frames(), "filming", steps, show=stderr_console(stderr=True).is_terminal))

@@ -17,8 +17,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cognitivedrone.benchmark.runs.job import platform_facts
-from cognitivedrone.benchmark.scores.codec import decode, dumps, encode, read_document
-from cognitivedrone.benchmark.scores.results import versions, write_whole
+from cognitivedrone.benchmark.scores.results import decode, dumps, encode, read_document, versions, write_whole
 from cognitivedrone.files import digest_of_file
 from cognitivedrone.text.printable import shown_address
 

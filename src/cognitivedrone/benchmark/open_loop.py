@@ -23,8 +23,7 @@ from cognitivedrone.benchmark.config import PredictPlan
 from cognitivedrone.benchmark.reports.tables import DASH, new_table, words
 from cognitivedrone.benchmark.runs.job import platform_facts
 from cognitivedrone.benchmark.runs.runner import results_folder
-from cognitivedrone.benchmark.scores.codec import dumps
-from cognitivedrone.benchmark.scores.results import versions, write_whole
+from cognitivedrone.benchmark.scores.results import dumps, versions, write_whole
 from cognitivedrone.control.calls import begin_stage, calling, check_chunk
 from cognitivedrone.data.recorded import Recorded, check_scenes, observation_at, recorded, state_at
 from cognitivedrone.envs.track_runner import stage_of

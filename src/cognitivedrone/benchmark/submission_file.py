@@ -15,8 +15,16 @@ from pathlib import Path
 from typing import Final
 
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.scores.codec import decode, dumps, encode, read_document
-from cognitivedrone.benchmark.scores.results import FILES, RunFacts, check_options, write_whole
+from cognitivedrone.benchmark.scores.results import (
+    FILES,
+    RunFacts,
+    check_options,
+    decode,
+    dumps,
+    encode,
+    read_document,
+    write_whole,
+)
 from cognitivedrone.benchmark.scores.run_types import impossible
 from cognitivedrone.benchmark.scores.scoring import Interval, Summary, mean_of, score, summarize
 from cognitivedrone.errors import RunError

@@ -115,7 +115,7 @@ def import_(
         columns: With rlds or lerobot data of others: which numbers of a step are vx, vy, vz, yaw rate, and velocity,
             height, yaw rate, such as 'action=0+1+2+5 state=0+1+2+3+4'.
     """
-    from cognitivedrone.collect.importing import import_set
+    from cognitivedrone.collect.replay import import_set
 
     print(visible(f"{out}: {import_set(source, form, out, columns)} episodes"))  # noqa: T201
     if form == "published":

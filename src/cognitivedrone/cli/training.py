@@ -49,7 +49,7 @@ def train(plan: Annotated[Flat[TrainPlan], tyro.conf.arg(name="")]) -> None:
 
 def last_success(out: Path) -> float | None:
     """Success rate of the last trial of a training run; none without a trial."""
-    from cognitivedrone.training.trainer.run_log import METRICS, read_rows
+    from cognitivedrone.training.trainer.checkpoint import METRICS, read_rows
 
     return next((row["success"] for row in reversed(read_rows(out / METRICS)) if "success" in row), None)
 

@@ -18,7 +18,7 @@ from cognitivedrone.choices import AppearanceName
 from cognitivedrone.data.episode import Encoding
 from cognitivedrone.envs.track_runner import draw_start
 from cognitivedrone.errors import DataError, did_you_mean
-from cognitivedrone.sim.drone_world import Start
+from cognitivedrone.sim.simulator import Start
 from cognitivedrone.types import CONTROL_HZ, Action
 from cognitivedrone.world import geometry
 

@@ -1,16 +1,27 @@
-"""Replay of a recorded episode: the commands that were sent, from the recorded start."""
+"""Replay of a recorded episode: the commands that were sent, from the recorded start.
+
+Import of data sets in other formats into a store.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import hashlib
+from dataclasses import dataclass, replace
+from itertools import count, islice
+from pathlib import Path
 
 import numpy as np
 
+from cognitivedrone.collect.config import EPISODES_PER_SHARD
 from cognitivedrone.data.episode import Episode
+from cognitivedrone.data.formats import import_
+from cognitivedrone.data.manifest import WRITING
+from cognitivedrone.data.store_writer import StoreWriter
 from cognitivedrone.errors import DataError, did_you_mean
+from cognitivedrone.files.locks import sole_writer
 from cognitivedrone.sim.airframe import AIRFRAMES
-from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL
 from cognitivedrone.sim.dynamics import BatchedFlight
+from cognitivedrone.sim.simulator import TICKS_PER_CONTROL
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,3 +68,29 @@ def replay(episode: Episode) -> ReplayReport:
         path_error_m=float(np.linalg.norm(path - episode.position, axis=1).max()),
         same_bits=all(np.array_equal(ours, theirs) for ours, theirs in zip(*same, strict=True)),
     )
+
+
+def import_set(source: Path, form: str, out: Path, columns: str = "") -> int:
+    """Read the data set `source` of the format `form` into a new store `out`; returns the number of episodes.
+
+    `columns` maps the numbers of others' data sets. Episodes are renumbered in order of arrival, and splits are drawn
+    anew. Raises `DataError` with the name of the file that is missing or broken; the store is then not readable.
+    """
+    if not source.exists():
+        raise DataError(f"{source}: there is no such file or folder")
+    name = f"{form}:{source.resolve().name}"
+    recipe = {"name": "imported", "format": form, "source": source.resolve().name}
+    flights = import_(source, form, columns)
+    taken = 0
+    with sole_writer(out, DataError, WRITING):
+        digest = hashlib.sha256(name.encode()).hexdigest()
+        writer = StoreWriter(out, recipe, name, digest, seed=0, episodes_per_shard=EPISODES_PER_SHARD)
+        for number in count():
+            read = [episode for _, episode in islice(flights, EPISODES_PER_SHARD)]
+            shard = [replace(episode, index=taken + offset) for offset, episode in enumerate(read)]
+            if not shard:
+                break
+            writer.write_shard(number, shard, {})
+            taken += len(shard)
+        writer.finish()
+    return taken

@@ -13,8 +13,8 @@ from cognitivedrone.control.async_reasoner import UNAIDED, AsyncReasoner, LateAn
 from cognitivedrone.control.calls import begin_stage, check_chunk
 from cognitivedrone.control.closer_look import CloserLook
 from cognitivedrone.control.directive_filter import DirectiveFilter
-from cognitivedrone.control.landing import Lander
 from cognitivedrone.control.latency import LatencyModel
+from cognitivedrone.control.planning import Lander
 from cognitivedrone.interfaces import Clock, Drone, Policy, Recorder
 from cognitivedrone.tasks.directives import HOLD, declines
 from cognitivedrone.tasks.missions import lands

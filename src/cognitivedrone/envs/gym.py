@@ -7,7 +7,6 @@ from typing import Any, ClassVar, Literal, TypeAlias, get_args
 import gymnasium
 import numpy as np
 
-from cognitivedrone.envs.learning import Observe, Progress, Reward, learns_by, state_space, states_of
 from cognitivedrone.envs.options import (
     Info,
     action_space,
@@ -21,6 +20,7 @@ from cognitivedrone.envs.options import (
 )
 from cognitivedrone.envs.track_runner import TrackRunner, scenery_of
 from cognitivedrone.envs.worlds import Worlds
+from cognitivedrone.envs.wrappers import Observe, Progress, Reward, learns_by, state_space, states_of
 from cognitivedrone.errors import SimulationError, TaskError, did_you_mean
 from cognitivedrone.plan import Scenario
 from cognitivedrone.sim.airframe import Airframe, find_airframe

@@ -16,8 +16,8 @@ from cognitivedrone.choices import AppearanceName
 from cognitivedrone.errors import AppearanceError, SimulationError, did_you_mean
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.plan import Scenario
-from cognitivedrone.sim.drone_world import DroneWorld, Scenery, Start
 from cognitivedrone.sim.gate_monitor import GateEvent
+from cognitivedrone.sim.simulator import DroneWorld, Scenery, Start
 from cognitivedrone.tasks.missions import forbidden, shuts
 from cognitivedrone.types import CONTROL_HZ, GroundTruth, Outcome, Stage, StageResult, Task, Track
 from cognitivedrone.world import geometry, places

@@ -9,7 +9,6 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from cognitivedrone.envs.gym import Camera, TaskView, score, tasks_of
-from cognitivedrone.envs.learning import Observe, Progress, Reward, learns_by, state_space, states_of
 from cognitivedrone.envs.options import (
     ANY_EPISODE,
     RESET_MASK,
@@ -27,6 +26,7 @@ from cognitivedrone.envs.options import (
     worlds_to_reset,
 )
 from cognitivedrone.envs.worlds import Worlds
+from cognitivedrone.envs.wrappers import Observe, Progress, Reward, learns_by, state_space, states_of
 from cognitivedrone.errors import SimulationError, did_you_mean
 from cognitivedrone.sim.airframe import find_airframe
 from cognitivedrone.system import cores

@@ -9,7 +9,7 @@ from typing import Literal
 from cognitivedrone.envs.captions import readable
 from cognitivedrone.envs.track_runner import TrackRunner, scenery_of
 from cognitivedrone.reasoners.scene_text import UNREADABLE
-from cognitivedrone.sim.drone_world import Scenery
+from cognitivedrone.sim.simulator import Scenery
 from cognitivedrone.types import (
     Action,
     Event,

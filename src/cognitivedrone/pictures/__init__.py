@@ -7,9 +7,17 @@
 of data sets.
 """
 
-from cognitivedrone.pictures.kinds import OTHER_SUFFIXES
-from cognitivedrone.pictures.limits import MAX_FRAME_BYTES, MAX_PICTURE_BYTES, MAX_PIXELS, MAX_SIDE, open_picture
-from cognitivedrone.pictures.reading import MAX_FILE_BYTES, decode_picture, read_picture
+from cognitivedrone.pictures.reading import (
+    MAX_FILE_BYTES,
+    MAX_FRAME_BYTES,
+    MAX_PICTURE_BYTES,
+    MAX_PIXELS,
+    MAX_SIDE,
+    OTHER_SUFFIXES,
+    decode_picture,
+    open_picture,
+    read_picture,
+)
 
 __all__ = [
     "MAX_FILE_BYTES",

@@ -15,8 +15,8 @@ from typing import Any, Final
 import PIL.Image
 
 from cognitivedrone.apps.config import AUTO, FlyPlan
-from cognitivedrone.apps.film import verdict_of_flight
 from cognitivedrone.apps.fly import fly_mission
+from cognitivedrone.apps.log import verdict_of_flight
 from cognitivedrone.apps.orders import Orders
 from cognitivedrone.apps.understanding.scene import DEFAULT, DEFAULT_EPISODE, ChosenScene, named_scene
 from cognitivedrone.apps.values import Summary

@@ -18,7 +18,7 @@ from cognitivedrone.errors import MissingExtra, ModelError, PolicyError, import_
 from cognitivedrone.files import read_regular, reason_of
 from cognitivedrone.files.schema import check_form
 from cognitivedrone.interfaces import Policy
-from cognitivedrone.models.card import in_memory, why_none
+from cognitivedrone.models.compiling import in_memory, why_none
 from cognitivedrone.models.openvla.checkpoint import read_header
 from cognitivedrone.policies.small import state_of
 from cognitivedrone.text.json_text import parse_json

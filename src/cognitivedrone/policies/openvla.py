@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError, NonFiniteAction, PluginError, PolicyError, import_extra
 from cognitivedrone.interfaces import Policy, attempt
-from cognitivedrone.models.card import EMULATED, in_memory, shortage, warn, why_none
-from cognitivedrone.models.compiling import compiled_or_plain
+from cognitivedrone.models.compiling import EMULATED, compiled_or_plain, in_memory, shortage, warn, why_none
 from cognitivedrone.models.openvla import checkpoint as checkpoints
 from cognitivedrone.models.openvla.actions import Flying, to_tokens
 from cognitivedrone.models.openvla.checkpoint import Checkpoint, DecoderName, Quantisation

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from cognitivedrone.errors import MissingExtra, ModelError, did_you_mean, import_extra
 from cognitivedrone.interfaces import Reasoner
-from cognitivedrone.models.card import shortage, warn
+from cognitivedrone.models.compiling import shortage, warn
 from cognitivedrone.reasoners.prompt import MAX_TOKENS, answers, checked_tokens, load_prompt, write_prompt
 from cognitivedrone.reasoners.reply import read_reply
 from cognitivedrone.types import Guidance, Image

@@ -14,8 +14,8 @@ import numpy as np
 
 from cognitivedrone.frames import world_to_heading, yaw_of
 from cognitivedrone.sim.airframe import Airframe
-from cognitivedrone.sim.drone_world import Start
 from cognitivedrone.sim.dynamics import BatchedFlight
+from cognitivedrone.sim.simulator import Start
 from cognitivedrone.types import DroneState, FloatArray
 
 SETTLE_S = 3.0

@@ -18,10 +18,9 @@ from cognitivedrone.envs.worlds import PacedDrone, SimulatedDrone
 from cognitivedrone.errors import ActionError, LinkError, RunError
 from cognitivedrone.frames import rotate_yaw, yaw_of
 from cognitivedrone.sim.drawing.gl import renderer_name
-from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, DroneWorld, Scenery, Start
 from cognitivedrone.sim.dynamics import BatchedFlight
 from cognitivedrone.sim.gate_monitor import GateEvent, GateMonitor
-from cognitivedrone.sim.simulator import Simulator
+from cognitivedrone.sim.simulator import TICKS_PER_CONTROL, DroneWorld, Scenery, Simulator, Start
 from cognitivedrone.types import CONTROL_HZ, DroneState, FloatArray, Image, Stage, Track
 from cognitivedrone.vehicles.contract import ClockedDrone, Confirm, LinkReport, Pace, Request, Status
 

@@ -17,7 +17,7 @@ from cognitivedrone.benchmark.reasoning.reason_table import reason_table
 from cognitivedrone.benchmark.runs.episode import PilotRunner
 from cognitivedrone.benchmark.runs.job import resolve
 from cognitivedrone.benchmark.runs.runner import Interrupted
-from cognitivedrone.benchmark.scores.codec import encode
+from cognitivedrone.benchmark.scores.results import encode
 from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner, episode_rng
 from cognitivedrone.errors import LabelError, PolicyError, ReasonerFault, RunError, UsageError
 from cognitivedrone.frames import world_to_heading, yaw_of

@@ -10,7 +10,7 @@ from benchmark_fakes import FakeRunner
 
 from cognitivedrone.benchmark.runs.job import resolve
 from cognitivedrone.benchmark.runs.records import EPISODES_FILE, RunFolder, digest_of_run, read_records
-from cognitivedrone.benchmark.scores.codec import dumps
+from cognitivedrone.benchmark.scores.results import dumps
 from cognitivedrone.errors import RunError
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from cognitivedrone.benchmark.scores.codec import decode, dumps, encode
+from cognitivedrone.benchmark.scores.results import decode, dumps, encode
 from cognitivedrone.errors import RunError
 
 

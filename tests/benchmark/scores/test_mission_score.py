@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cognitivedrone.benchmark.scores.codec import encode
+from cognitivedrone.benchmark.scores.results import encode
 from cognitivedrone.benchmark.scores.scoring import summarize
 from cognitivedrone.envs.gym import CognitiveDroneEnv
 from cognitivedrone.envs.track_runner import FORBIDDEN_M, forbidden_gates

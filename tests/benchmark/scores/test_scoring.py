@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from cognitivedrone.benchmark.scores.codec import encode
+from cognitivedrone.benchmark.scores.results import encode
 from cognitivedrone.benchmark.scores.scoring import (
     OUTCOMES,
     RULES,

@@ -12,7 +12,7 @@ from quick_trainings import SCHEDULE, train_here
 
 from cognitivedrone.errors import ModelError
 from cognitivedrone.models.words.text_encoder import FILE
-from cognitivedrone.training.recipes import RECIPES, find_recipe
+from cognitivedrone.training.launch import RECIPES, find_recipe
 from cognitivedrone.training.small_vla import export
 from cognitivedrone.training.small_vla.export import load_trained
 from cognitivedrone.training.small_vla.policy import FLIGHT

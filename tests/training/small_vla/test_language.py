@@ -17,14 +17,12 @@ from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.words.text_encoder import TextEncoderModel
 from cognitivedrone.training.config import TrainPlan
 from cognitivedrone.training.language.problems import NAMES, Problem, Problems
-from cognitivedrone.training.launch import command_of, run
+from cognitivedrone.training.launch import ALL_RECIPES, RECIPES, command_of, run
 from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.training.perception.readings import Readings
-from cognitivedrone.training.recipes import ALL_RECIPES, RECIPES
 from cognitivedrone.training.small_vla.language import DEBUG_LANGUAGE, LanguageTraining, described, spoken
 from cognitivedrone.training.trainer import trainer
-from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint
-from cognitivedrone.training.trainer.run_log import METRICS, read_rows
+from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, METRICS, read_checkpoint, read_rows
 from cognitivedrone.training.trainer.training_task import Given, to_tensors
 
 TINY = replace(DEBUG_LANGUAGE, **SCHEDULE, batch=32, validation_sentences=100)

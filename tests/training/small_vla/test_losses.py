@@ -19,9 +19,9 @@ from cognitivedrone.models.words.scene_tokens import SceneTokenizer
 from cognitivedrone.models.words.text_encoder import encoder_of
 from cognitivedrone.training.language.problems import ABSENT, Problem, Problems
 from cognitivedrone.training.language.text_training import TextMix
+from cognitivedrone.training.launch import RECIPES
 from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.training.perception.readings import Readings
-from cognitivedrone.training.recipes import RECIPES
 from cognitivedrone.training.small_vla import losses
 from cognitivedrone.training.small_vla.language import described, text_loss
 from cognitivedrone.training.small_vla.losses import (

@@ -14,7 +14,7 @@ from cognitivedrone.collect.collector import CollectPlan, collect
 from cognitivedrone.collect.recipe import RECIPES as COLLECTED
 from cognitivedrone.data.store import Store
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.training.recipes import RECIPES
+from cognitivedrone.training.launch import RECIPES
 from cognitivedrone.training.small_vla.stream import Recorded
 from cognitivedrone.training.trainer.checkpoint import read_checkpoint
 from cognitivedrone.training.trainer.training_task import Given

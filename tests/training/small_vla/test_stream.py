@@ -15,13 +15,12 @@ import pytest
 from numpy.typing import NDArray
 
 from cognitivedrone.layout import is_clear
-from cognitivedrone.models.words.text import words_of
-from cognitivedrone.models.words.text_encoder import TextEncoderModel, encoder_of
+from cognitivedrone.models.words.text_encoder import TextEncoderModel, encoder_of, words_of
 from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.families.racing import INSTRUCTIONS
 from cognitivedrone.training.language.questions import Question, ask
+from cognitivedrone.training.launch import ALL_RECIPES, RECIPES
 from cognitivedrone.training.perception.attributes import gate_looks
-from cognitivedrone.training.recipes import ALL_RECIPES, RECIPES
 from cognitivedrone.training.small_vla import sampling, stream
 from cognitivedrone.training.small_vla.sampling import LONGEST, NONE_IN_VIEW, Sampler, StreamRecipe
 from cognitivedrone.training.small_vla.stream import RolloutStream

@@ -13,8 +13,8 @@ from accelerate.state import AcceleratorState
 from quick_trainings import TINY_READER, train_here
 
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.models.card import in_memory
-from cognitivedrone.training.trainer.run_log import METRICS, read_rows
+from cognitivedrone.models.compiling import in_memory
+from cognitivedrone.training.trainer.checkpoint import METRICS, read_rows
 from cognitivedrone.training.trainer.training_task import Given
 
 pytestmark = [pytest.mark.card, pytest.mark.usefixtures("made_small")]

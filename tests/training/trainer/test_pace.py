@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from cognitivedrone.training.trainer import run_log
-from cognitivedrone.training.trainer.run_log import Pace
+from cognitivedrone.training.trainer import checkpoint
+from cognitivedrone.training.trainer.checkpoint import Pace
 from cognitivedrone.training.trainer.training_task import Batch
 
 
@@ -20,9 +20,9 @@ class Clock:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now = self.busy_until = 0.0
-        monkeypatch.setattr(run_log, "time", SimpleNamespace(monotonic=lambda: self.now))
+        monkeypatch.setattr(checkpoint, "time", SimpleNamespace(monotonic=lambda: self.now))
         events = SimpleNamespace(Event=self.event, synchronize=self.synchronize)
-        monkeypatch.setattr(run_log, "torch", SimpleNamespace(cuda=events))
+        monkeypatch.setattr(checkpoint, "torch", SimpleNamespace(cuda=events))
 
     def event(self, enable_timing: bool) -> Any:
         assert enable_timing

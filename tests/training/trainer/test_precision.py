@@ -13,7 +13,7 @@ from accelerate.state import AcceleratorState
 from quick_trainings import train_here
 from torch.nn.modules.module import register_module_forward_hook
 
-from cognitivedrone.training.recipes import RECIPES
+from cognitivedrone.training.launch import RECIPES
 from cognitivedrone.training.trainer import trainer, training_task
 from cognitivedrone.training.trainer.training_task import Given, multiplies_bf16
 

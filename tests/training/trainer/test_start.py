@@ -16,9 +16,9 @@ from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.eyes.panel_reader import Reader, ReaderConfig
 from cognitivedrone.models.onnx_file import write_table
 from cognitivedrone.models.words.language import LanguageConfig
+from cognitivedrone.training.launch import RECIPES
 from cognitivedrone.training.perception.attributes import ATTRIBUTES
 from cognitivedrone.training.reasoner.selector_files import trained_selector
-from cognitivedrone.training.recipes import RECIPES
 from cognitivedrone.training.small_vla.export import load_trained
 from cognitivedrone.training.small_vla.language import LANGUAGE
 from cognitivedrone.training.small_vla.policy import FLIGHT

@@ -23,15 +23,21 @@ from cognitivedrone.errors import TrainingError
 from cognitivedrone.models.small_vla import Flight
 from cognitivedrone.rollout import cards
 from cognitivedrone.rollout.cards import Cards
+from cognitivedrone.training.launch import ALL_RECIPES, RECIPES, find_recipe
 from cognitivedrone.training.reasoner.selector import SelectorRecipe
-from cognitivedrone.training.recipes import ALL_RECIPES, RECIPES, find_recipe
 from cognitivedrone.training.small_vla.language import DEBUG_LANGUAGE, LanguageRecipe
 from cognitivedrone.training.small_vla.losses import action_measures
 from cognitivedrone.training.small_vla.policy import FlightRecipe, TrainRecipe
 from cognitivedrone.training.trainer import trainer
-from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint
+from cognitivedrone.training.trainer.checkpoint import (
+    CHECKPOINT,
+    DIMENSIONS,
+    METRICS,
+    draw_curves,
+    read_checkpoint,
+    read_rows,
+)
 from cognitivedrone.training.trainer.prefetch import PrefetchQueue, learner_path
-from cognitivedrone.training.trainer.run_log import DIMENSIONS, METRICS, draw_curves, read_rows
 from cognitivedrone.training.trainer.trainer import TrainConfig, learning_rate, stop_message, train
 from cognitivedrone.training.trainer.training_task import Given, to_tensors
 
@@ -47,7 +53,7 @@ import pytest
 from quick_trainings import QuickPolicyTraining, make_small
 from cognitivedrone.training.trainer import trainer
 from cognitivedrone.training.trainer.training_task import Given
-from cognitivedrone.training.recipes import RECIPES
+from cognitivedrone.training.launch import RECIPES
 
 def report(line):
     # The second round's row is written before its checkpoint: that is where the power goes.

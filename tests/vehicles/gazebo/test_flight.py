@@ -26,7 +26,7 @@ from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.labels import load_pack
 from cognitivedrone.policies import make_policy
 from cognitivedrone.sim.airframe import IRIS
-from cognitivedrone.sim.drone_world import Start
+from cognitivedrone.sim.simulator import Start
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.vehicles.gazebo import flight as flight_module
 from cognitivedrone.vehicles.gazebo.flight import on_the_ground

@@ -47,7 +47,7 @@ class Evidence:
         request = self.understanding.understand(sentence)
         if request.understood or request.note or not self.concepts:
             return request
-        meant = self.concepts.meant(sentence, NAMED if _NAME.search(sentence) else CLEAR)
+        meant = self.concepts.meant(sentence, *(NAMED if _NAME.search(sentence) else CLEAR))
         if meant is None:
             return request
         kind = KIND_OF[meant[0]]

@@ -13,7 +13,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
-from cognitivedrone.apps.understanding import lexicon, persons, signs
+from cognitivedrone.apps.understanding import lexicon, predicates
 from cognitivedrone.apps.understanding.lexicon import KIND_WORDS, PLACES, Predicate
 from cognitivedrone.apps.understanding.predicates import DENIALS, close_together, denied_alike, says_more, together
 from cognitivedrone.apps.understanding.sentence import Speller, placed, stem, words_of
@@ -138,7 +138,7 @@ class Understanding:
             | {*COLORS, *SHAPES, "big", "small"}
         )
         facts = {word for predicate in lexicon.facts() for word in predicate.words}
-        words |= _PEOPLE | persons.words() | set(KIND_WORDS) | set(lexicon.translated())
+        words |= _PEOPLE | predicates.words() | set(KIND_WORDS) | set(lexicon.translated())
         return Speller(words, facts | set(self.real), {word for name in self.names for word in name})
 
     def nearest(self, words: Sequence[str], count: int = 3) -> tuple[str, ...]:
@@ -162,7 +162,7 @@ class Understanding:
 
     def _part(self, sentence: str, part: str) -> Request:
         part = placed(part)
-        number, note = signs.answer(part)
+        number, note = predicates.answer(part)
         if number is not None or note:
             labels = frozenset() if number is None else frozenset({f"number/{number}"})
             return Request(sentence, labels, note=note, plain="" if number is None else f"the number {number}")
@@ -180,8 +180,8 @@ class Understanding:
         look = parse_directive(" ".join(words))
         looks = frozenset(each for word in refused_words for each in parse_directive(word) if each)
         named = self._named(words, sentence)
-        features, name, telling = persons.described(words, sentence)
-        lacks = persons.described(["person", *refused_words], "")[0] if features or _PEOPLE & set(words) else ()
+        features, name, telling = predicates.described(words, sentence)
+        lacks = predicates.described(["person", *refused_words], "")[0] if features or _PEOPLE & set(words) else ()
         true, wrong, used = together([*(each for each in facts if says_more(each, named)), *named, *facts])
         worn = any(
             not any(parse_directive(word)) and word not in {"nor", *_SMALL_TALK, *_ARTICLES} for word in refused_words
@@ -227,9 +227,9 @@ class Understanding:
             request = Request(sentence, unknown=unknown)
         elif unknown and not true and _NO_LOOK.search(blanked):
             request = Request(sentence, unknown=unknown, note=f"no gate is {' or '.join(unknown[:3])}: {_LOOKS}")
-        elif (signs_only or not request.understood) and (note := signs.not_shown(sentence, part)):
+        elif (signs_only or not request.understood) and (note := predicates.not_shown(sentence, part)):
             request = Request(sentence, unknown=unknown, note=note)
-        elif (what := signs.counted(" ".join(words))) and what not in _SMALL_TALK:
+        elif (what := predicates.counted(" ".join(words))) and what not in _SMALL_TALK:
             request = self._counted(sentence, what, named)
         if eaten is not None:
             request = replace(eaten, sentence=sentence, refused=denied, refused_looks=looks)
@@ -253,7 +253,7 @@ class Understanding:
         """How many of something a thing has."""
         for label in sorted(named[0].true) if named else ():
             entry = table().entries.get(label, {})
-            number = signs.count_in(what, [value for known in entry.values() for value in sorted(known.values)])
+            number = predicates.count_in(what, [value for known in entry.values() for value in sorted(known.values)])
             if number is not None:
                 return Request(sentence, frozenset({f"number/{number}"}))
         return Request(sentence, note=f"it is not known how many {what} that is")
@@ -276,7 +276,7 @@ class Understanding:
         return re.compile(f"({'|'.join(map(re.escape, named)) or '(?!)'})")
 
     def _known(self, word: str) -> bool:
-        lists = (_SMALL_TALK, PLACES, _PEOPLE, persons.FEATURE_NAMES, KIND_WORDS, _LOGO_WORDS)
+        lists = (_SMALL_TALK, PLACES, _PEOPLE, predicates.FEATURE_NAMES, KIND_WORDS, _LOGO_WORDS)
         return (
             any(word in each or stem(word) in each for each in lists) or any(parse_directive(word)) or word.isdecimal()
         )
@@ -313,7 +313,7 @@ class Understanding:
         sign_words = KIND_WORDS.keys() | _TOWARDS | _ARTICLES
         found += [
             (-2.0 if sign_words & set(words[max(0, at - 3) : at]) else -0.5, at, each)
-            for at, each in signs.symbols(words, sentence)
+            for at, each in predicates.symbols(words, sentence)
         ]
         sure = [each for rank, _, each in sorted(found, key=lambda each: each[:2]) if rank]
         return sure or [each for *_, each in found]

@@ -24,8 +24,7 @@ from cognitivedrone.benchmark.config import Plan, ReasonPlan
 from cognitivedrone.benchmark.reasoning.reason_scoring import Answer, ReasonSummary, judge, summarize_answers
 from cognitivedrone.benchmark.runs.job import platform_facts, resolve
 from cognitivedrone.benchmark.runs.runner import Interrupted, results_folder
-from cognitivedrone.benchmark.scores.codec import dumps
-from cognitivedrone.benchmark.scores.results import SuiteFacts, versions, write_whole
+from cognitivedrone.benchmark.scores.results import SuiteFacts, dumps, versions, write_whole
 from cognitivedrone.benchmark.scores.run_types import not_measured
 from cognitivedrone.control.async_reasoner import asking, check_guidance
 from cognitivedrone.control.calls import begin_stage, seed_of
@@ -47,7 +46,7 @@ from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.reasoners import make_reasoner
 from cognitivedrone.sim.drawing.gl import renderer_name
-from cognitivedrone.sim.drone_world import TICKS_PER_CONTROL, DroneWorld, Start
+from cognitivedrone.sim.simulator import TICKS_PER_CONTROL, DroneWorld, Start
 from cognitivedrone.system.interrupts import watched
 from cognitivedrone.tasks import Suite, task_to_json
 from cognitivedrone.tasks.suites import digest_of

@@ -21,8 +21,7 @@ from cognitivedrone.benchmark.runs.records import (
     read_records,
 )
 from cognitivedrone.benchmark.runs.runner import timing_of, write_products
-from cognitivedrone.benchmark.scores.codec import dumps
-from cognitivedrone.benchmark.scores.results import RESULTS_FILE, Results, RunFacts, read_results
+from cognitivedrone.benchmark.scores.results import RESULTS_FILE, Results, RunFacts, dumps, read_results
 from cognitivedrone.benchmark.scores.run_types import Rollout
 from cognitivedrone.errors import RunError, TaskError
 from cognitivedrone.files import read_regular, replace_file, writing

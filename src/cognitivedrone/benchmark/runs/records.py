@@ -16,8 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
-from cognitivedrone.benchmark.scores.codec import decode, dumps, encode
-from cognitivedrone.benchmark.scores.results import RunFacts, write_whole
+from cognitivedrone.benchmark.scores.results import RunFacts, decode, dumps, encode, write_whole
 from cognitivedrone.benchmark.scores.run_types import Rollout, Trace, impossible
 from cognitivedrone.errors import RunError
 from cognitivedrone.files import (

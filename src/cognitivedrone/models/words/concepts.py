@@ -25,9 +25,10 @@ CONCEPTS: Final = "concepts"
 CONCEPTS_FILE: Final = "concepts.onnx"
 STANDS_OUT: Final = 3.5
 """Standard deviations: what is no English stays below 3.1."""
-CLEAR: Final = 4.5
-"""The same, for what a sentence means that names nothing known: "the thing firefighters drive" 5.8."""
-NAMED: Final = 6.0
+CLEAR: Final = (3.3, 0.36)
+"""The same and a cosine, for what a sentence means that names nothing known: "I'm hungry" 3.4 and 0.41, "kill all
+humans" 3.5 and 0.34."""
+NAMED: Final = (6.0, 0.36)
 """The same, where it has a name: "take me to the Eiffel Tower" 5.0."""
 _NEAR = 0.04  # difference in cosine at which a concept counts e times less than one that fits better
 _NAMED = 0.4  # cosine from which a phrase names a concept
@@ -125,14 +126,14 @@ class Concepts:
             self._heard = instruction, asked if not named or (wanted and asked.best > _NAMED) else None, named
         return self._heard[1:]
 
-    def meant(self, sentence: str, least: float = STANDS_OUT) -> tuple[str, tuple[str, ...]] | None:
-        """The thing of the table that a sentence means, and those that it does not; none where none stands out by so
-        many standard deviations.
+    def meant(self, sentence: str, least: float = STANDS_OUT, fits: float = -1.0) -> tuple[str, tuple[str, ...]] | None:
+        """The thing of the table that a sentence means, and those that it does not; none where none stands out by
+        `least` standard deviations with the cosine `fits`.
         """
         things, _ = self.fits(sentence)
         above = (things - things.mean()) / things.std()
         above[self._taught] = above.min()
-        if above.max() < least:
+        if above.max() < least or things[above.argmax()] < fits:
             return None
         return self._names[above.argmax()], tuple(self._names[row] for row in np.flatnonzero(above < np.median(above)))
 

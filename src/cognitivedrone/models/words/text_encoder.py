@@ -4,10 +4,14 @@ It runs once for an instruction, not once for a frame. Contract of its graph; th
 of tokens, W the width: inputs `tokens`, `positions`, `parts` int64 (batch, L); output `words` float32 (batch, L, W),
 zero where there is no token. The description holds the word pieces, and the digest by which a policy names the encoder
 that it was trained with. The network is `models.words.language.TextEncoder`.
+
+Words of a sentence, and the numbers that words name.
 """
 
 from __future__ import annotations
 
+import re
+import unicodedata
 from collections import OrderedDict
 from collections.abc import Sequence
 from importlib import resources
@@ -22,6 +26,31 @@ from cognitivedrone.models.onnx_file import beside, check_graph, count_of, field
 from cognitivedrone.models.words.calculator import calculate
 from cognitivedrone.models.words.running_total import told
 from cognitivedrone.models.words.scene_tokens import INPUTS, SceneTokenizer, number_text, stacked
+
+_POSSESSIVE = re.compile(r"(?<=[a-z])'s\b")
+_TOKEN = re.compile(r"[0-9]+|[a-z]+|[^\sa-z0-9]")
+_ONES = (
+    "zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen sixteen seventeen"
+    " eighteen nineteen twenty"
+)
+_TENS = "thirty forty fifty sixty seventy eighty ninety hundred"
+NUMBER_WORDS: dict[str, str] = {
+    **{word: str(number) for number, word in enumerate(_ONES.split())},
+    **{word: str(10 * ten) for ten, word in enumerate(_TENS.split(), start=3)},
+}
+
+
+def words_of(text: str) -> list[str]:
+    """The words of a sentence: runs of letters in lower case without accents, runs of digits, every other sign alone.
+
+    The possessive 's is dropped: "McDonald's" is read as "mcdonald".
+    """
+    text = text.lower()
+    if not text.isascii():
+        folded = unicodedata.normalize("NFKD", text.replace("\u2019", "'"))
+        text = "".join(sign for sign in folded if not unicodedata.combining(sign)).lower()
+    return _TOKEN.findall(_POSSESSIVE.sub("", text) if "'" in text else text)
+
 
 TEXT_ENCODER, FILE = "text-encoder", "text_encoder.onnx"
 _KEPT = 512  # instructions whose meaning is remembered

@@ -21,7 +21,7 @@ from cognitivedrone.sim.airframe import RACER, ROTORS, Airframe
 from cognitivedrone.sim.drawing.gl import GLThread
 from cognitivedrone.sim.drawing.readback import OneByOne
 from cognitivedrone.sim.drawing.views import View
-from cognitivedrone.sim.drone_world import Scenery
+from cognitivedrone.sim.simulator import Scenery
 from cognitivedrone.types import COLORS, FloatArray, Image, Quaternion, Stage, Vector
 from cognitivedrone.world import assets, geometry, places
 from cognitivedrone.world.appearance import Appearance

@@ -41,7 +41,7 @@ GO = (
 LANDING = (
     r"(?:(?:(?:come|go|fly)\s+(?:back\s+)?down(?=\s+(?:on|at)\b|\W*$)|come\s+(?:back\s+)?down|"
     r"get\s+(?:yourself\s+|it\s+|her\s+)?(?:back\s+)?down(?=\s+on)|"
-    r"(?:come\s+in\s+to\s+)?land(?:ing(?!\s+(?:pad|zone|spot|place))|en|e|et)?|touch(?:ing)?\s*down|"
+    r"(?:come\s+in\s+to\s+)?land(?:ing(?!\s+(?:pad|zone|spot|place))|en|e|et)?(?!\s+(?:animal|mammal|creature)s?\b)|touch(?:ing)?\s*down|"
     r"set\s+(?:it\s+|her\s+|yourself\s+)?down|sit\s+down(?=\s+on\b)|"
     r"(?:back\s+)?down(?=\s+(?:on|at)\s+(?:the\s+)?(?:pad|red|green|blue)\b)|"
     r"(?:finish|end)(?:ing)?(?:\s+up)?(?=\s+(?:on|at)\b[^,;.]*\bpad\b)|"

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from cognitivedrone.models.eyes.finder import SLOTS
-from cognitivedrone.models.words.text import words_of
+from cognitivedrone.models.words.text_encoder import words_of
 from cognitivedrone.reasoners.scene_text import STAGES
 from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, HARD_FAMILIES, load_suite
 from cognitivedrone.tasks.families.memory import memory_track

@@ -18,7 +18,7 @@ from torch.distributed.tensor import DTensor, distribute_tensor
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.files import open_regular
-from cognitivedrone.models.card import why_none
+from cognitivedrone.models.compiling import why_none
 from cognitivedrone.models.openvla.actions import ActionStatistics
 from cognitivedrone.models.openvla.checkpoint import Checkpoint, inspect
 from cognitivedrone.models.openvla.config import IMAGE, PATCHES, Config

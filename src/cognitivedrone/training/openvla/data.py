@@ -20,7 +20,7 @@ from cognitivedrone.models.openvla.actions import ActionStatistics, from_tokens,
 from cognitivedrone.models.openvla.config import ACTION_SIZE, PADDING
 from cognitivedrone.models.openvla.network import IGNORED
 from cognitivedrone.models.openvla.prepare import END, Encoder, ImagePreparation, prompt_ids
-from cognitivedrone.training.trainer.run_log import by_dimension
+from cognitivedrone.training.trainer.checkpoint import by_dimension
 from cognitivedrone.training.trainer.training_task import Row
 from cognitivedrone.types import Category, FloatArray
 

@@ -33,7 +33,7 @@ from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.files import remove, remove_left_over, replace_file, replacing_folder
-from cognitivedrone.models import card
+from cognitivedrone.models import compiling
 from cognitivedrone.models.openvla import checkpoint as checkpoints
 from cognitivedrone.models.openvla.checkpoint import Checkpoint
 from cognitivedrone.models.openvla.config import ACTION_SIZE, KEY
@@ -64,8 +64,7 @@ from cognitivedrone.training.openvla.data import (
     validation_rows,
 )
 from cognitivedrone.training.openvla.recipes import PAPER, LoraRecipe
-from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint, save_checkpoint, step_of
-from cognitivedrone.training.trainer.run_log import RunLog
+from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, RunLog, read_checkpoint, save_checkpoint, step_of
 from cognitivedrone.training.trainer.training_task import Row
 
 MERGED = "merged"
@@ -128,12 +127,14 @@ def fine_tune(config: FineTuning, report: Callable[[str], None] = print) -> Path
     found = _found(config, resume=config.resume)
     accelerator = _accelerator(config)
     if accelerator.is_main_process:
-        card.warn(torch, "fine-tuning", card.EMULATED)
+        compiling.warn(torch, "fine-tuning", compiling.EMULATED)
     if recipe.batch % accelerator.num_processes:
         raise TrainingError(f"a batch of {recipe.batch} cannot be shared by {accelerator.num_processes} processes")
     step = 0 if found is None else step_of(found[1], config.recipe.steps)
     if step < recipe.steps:
-        with card.in_memory(TrainingError, f"the fine-tuning in {out}", "; --resume goes on from the last checkpoint"):
+        with compiling.in_memory(
+            TrainingError, f"the fine-tuning in {out}", "; --resume goes on from the last checkpoint"
+        ):
             recipe = _fitted(config, accelerator)
             if accelerator.is_main_process:
                 out.mkdir(parents=True, exist_ok=True)

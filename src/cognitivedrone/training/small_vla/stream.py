@@ -28,7 +28,7 @@ from cognitivedrone.labels import load_pack
 from cognitivedrone.layout import draw_layout
 from cognitivedrone.policies.expert import intent
 from cognitivedrone.sim.airframe import RACER
-from cognitivedrone.sim.drone_world import Start
+from cognitivedrone.sim.simulator import Start
 from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.families.racing import crowded_task, race_task
 from cognitivedrone.tasks.validate import right_gate

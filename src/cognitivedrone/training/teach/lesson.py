@@ -19,7 +19,7 @@ from cognitivedrone.files import read_regular
 from cognitivedrone.files.texts import folded
 from cognitivedrone.labels import load_pack
 from cognitivedrone.labels.folder import FolderPack
-from cognitivedrone.models.words.text import NUMBER_WORDS
+from cognitivedrone.models.words.text_encoder import NUMBER_WORDS
 from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.format import MAX_FILE_BYTES, read_tasks

@@ -21,12 +21,20 @@ from torch import nn
 
 from cognitivedrone.errors import TrainingError
 from cognitivedrone.files import check_no_link, remove, remove_left_over, replace_file, writing
-from cognitivedrone.models import card
+from cognitivedrone.models import compiling
 from cognitivedrone.terminal import console
 from cognitivedrone.terminal.progress import progress_bar
-from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint, restore, save_checkpoint, step_of
+from cognitivedrone.training.trainer.checkpoint import (
+    BOARD,
+    CHECKPOINT,
+    Pace,
+    RunLog,
+    read_checkpoint,
+    restore,
+    save_checkpoint,
+    step_of,
+)
 from cognitivedrone.training.trainer.prefetch import LEARNERS, PrefetchQueue, learner_path
-from cognitivedrone.training.trainer.run_log import BOARD, Pace, RunLog
 from cognitivedrone.training.trainer.training_task import Batch, Row, Schedule, TrainingTask, to_tensors, trains_in_bf16
 
 _VALIDATED = ("choice accuracy", "text accuracy", "l1", "accuracy", "cross-entropy", "success")
@@ -62,7 +70,7 @@ def train(config: TrainConfig, report: Callable[[str], None] = print) -> Path:
     A training run stopped at any moment continues from the last full round with `resume`, and ends with the same
     weights on the same machine as an uninterrupted one. Raises `TrainingError`.
     """
-    with card.in_memory(TrainingError, f"the training in {config.out}", _WAY_OUT):
+    with compiling.in_memory(TrainingError, f"the training in {config.out}", _WAY_OUT):
         return _trained(config, report)
 
 
@@ -76,7 +84,7 @@ def _trained(config: TrainConfig, report: Callable[[str], None]) -> Path:
     schedule = training_task.recipe
     torch.manual_seed(config.seed)
     if accelerator.is_main_process:
-        card.warn(torch, "training", "so it trains in float32, which takes longer")
+        compiling.warn(torch, "training", "so it trains in float32, which takes longer")
         stages.report("making the network")
     network = training_task.network()
     optimizer = torch.optim.AdamW(

@@ -14,8 +14,8 @@ import numpy as np
 from cognitivedrone.errors import LinkError, RunError
 from cognitivedrone.files.temporary import TemporaryFolder
 from cognitivedrone.frames import rotate_yaw
-from cognitivedrone.sim.drone_world import Scenery, Start
 from cognitivedrone.sim.dynamics import BatchedFlight
+from cognitivedrone.sim.simulator import Scenery, Start
 from cognitivedrone.types import CONTROL_HZ, DroneState, FloatArray, Image, Stage
 from cognitivedrone.vehicles.camera import Camera
 from cognitivedrone.vehicles.contract import LinkReport, Request

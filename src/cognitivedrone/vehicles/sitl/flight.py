@@ -14,8 +14,8 @@ from cognitivedrone.errors import LinkError, RunError
 from cognitivedrone.files.temporary import TemporaryFolder
 from cognitivedrone.frames import rotate_yaw, yaw_of
 from cognitivedrone.sim.airframe import IRIS, Airframe
-from cognitivedrone.sim.drone_world import Start
 from cognitivedrone.sim.dynamics import BatchedFlight
+from cognitivedrone.sim.simulator import Start
 from cognitivedrone.types import DroneState, FloatArray
 from cognitivedrone.vehicles.contract import LinkReport
 from cognitivedrone.vehicles.mavlink.client.core import FlightCore

@@ -18,8 +18,8 @@ from cognitivedrone.files.temporary import TemporaryFolder
 from cognitivedrone.sim.airframe import Airframe
 from cognitivedrone.sim.drawing.camera import Cameras
 from cognitivedrone.sim.drawing.gl import renderer_name
-from cognitivedrone.sim.drone_world import Scenery, Start
 from cognitivedrone.sim.dynamics import BatchedFlight
+from cognitivedrone.sim.simulator import Scenery, Start
 from cognitivedrone.types import Action, DroneState, FloatArray, Image, Observation, Stage, Track
 from cognitivedrone.vehicles import autopilot_file
 from cognitivedrone.vehicles.camera import Shot, WatchedCamera
