@@ -80,6 +80,7 @@ def test_what_is_named_by_no_word_but_clearly_meant_gets_a_scene_and_nothing_els
     evidence = Evidence(Understanding(real=Small().model.words), concepts=SmallReasoner().concepts)
     assert evidence.request("take me to where you keep milk cold").labels == {"food/milk"}
     assert evidence.request("head over to the thing firefighters drive").labels == {"object/fire_engine"}
+    assert evidence.request("please fly to the animal that gives milk").labels == {"animal/cow"}
     assert evidence.request("something to do with music").labels == {"object/accordion"}
     for sentence in ("take me to the Eiffel Tower", "kill all humans", "fly to the frobnitz"):
         assert not evidence.request(sentence).understood

@@ -73,6 +73,7 @@ def test_gates_and_people_are_described():
     request = UNDERSTANDING.understand("the red gate, actually the big blue one")
     assert (request.look, request.labels) == (("big", "blue", None), frozenset())
     assert UNDERSTANDING.understand("teh second gaet pls").place == 1
+    assert UNDERSTANDING.understand("whichever gate is green").look == (None, "green", None)
     assert UNDERSTANDING.understand("gehe zum roten Tor").look == (None, "red", None)
     assert (
         UNDERSTANDING.understand("someone with a red hat and a beard").plain

@@ -11,6 +11,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 from cognitivedrone.apps.understanding import lexicon
+from cognitivedrone.apps.understanding.lexicon import KIND_WORDS
 from cognitivedrone.apps.understanding.request import Request, Understanding
 from cognitivedrone.models.words.concepts import CLEAR, NAMED, Concepts
 from cognitivedrone.pilot import Pilot
@@ -45,9 +46,13 @@ class Evidence:
     def request(self, sentence: str) -> Request:
         """What a sentence asks for: by its words, or else the thing that it means to the pilot."""
         request = self.understanding.understand(sentence)
-        if request.understood or request.note or not self.concepts:
+        kinds = {KIND_WORDS.get(word) for word in self.understanding.typed(sentence)} & {"animal", "food"}
+        among = [thing for thing, kind in KIND_OF.items() if kind in kinds] if len(kinds) == 1 else None
+        # "The animal that gives milk" names a food, and means none.
+        other = among and request.labels and not any(label.partition("/")[0] in kinds for label in request.labels)
+        if (request.understood and not other) or request.note or not self.concepts:
             return request
-        meant = self.concepts.meant(sentence, *(NAMED if _NAME.search(sentence) else CLEAR))
+        meant = self.concepts.meant(sentence, *(NAMED if _NAME.search(sentence) else CLEAR), among)
         if meant is None:
             return request
         kind = KIND_OF[meant[0]]

@@ -11,6 +11,9 @@ from collections.abc import Collection, Iterable, Sequence
 _WORD = re.compile(r"[a-z]+|\d+|[^\W\d_a-z]+")
 _NUMBERED = re.compile(r"\b(gate|hoop|portal) (?:number |no\.? |nr\.? |# ?)?([123])\b(?!\s*[-+*/x.,]\s*\d)")
 """As the program itself names gates: "gate 2"."""
+_LOOKING = re.compile(
+    r"\b(gate|hoop|portal) (?:(?:that|which) )?(?:is|looks) (red|green|blue|round|square|triangular|big|small)\b"
+)
 _ORDINALS = re.compile(
     r"\b(?P<place>first|1st|second|2nd|third|3rd|last) "
     r"(?:(?P<what>gate|one|hoop)|from (?:the )?left)\b"
@@ -33,7 +36,8 @@ def stem(word: str) -> str:
 
 
 def placed(text: str) -> str:
-    """The text with "left", "middle" and "right" in place of ordinals and numbers of gates."""
+    """The text with "left", "middle" and "right" in place of ordinals and numbers of gates, and looks before them."""
+    text = _LOOKING.sub(r"\2 \1", text)
     numbered = _NUMBERED.sub(lambda gate: f"{('left', 'middle', 'right')[int(gate[2]) - 1]} {gate[1]}", text)
     return _ORDINALS.sub(
         lambda said: f"{_ORDINAL_PLACES.get(said['place'][0], 'right')} {said['what'] or 'gate'}", numbered

@@ -9,7 +9,7 @@ of the text encoder that read the table.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -126,13 +126,16 @@ class Concepts:
             self._heard = instruction, asked if not named or (wanted and asked.best > _NAMED) else None, named
         return self._heard[1:]
 
-    def meant(self, sentence: str, least: float = STANDS_OUT, fits: float = -1.0) -> tuple[str, tuple[str, ...]] | None:
-        """The thing of the table that a sentence means, and those that it does not; none where none stands out by
-        `least` standard deviations with the cosine `fits`.
+    def meant(
+        self, sentence: str, least: float = STANDS_OUT, fits: float = -1.0, among: Collection[str] | None = None
+    ) -> tuple[str, tuple[str, ...]] | None:
+        """The thing of the table, or of those `among`, that a sentence means, and those that it does not; none where
+        none stands out by `least` standard deviations with the cosine `fits`.
         """
         things, _ = self.fits(sentence)
         above = (things - things.mean()) / things.std()
-        above[self._taught] = above.min()
+        others = [row for row, name in enumerate(self._names[: len(above)]) if among is not None and name not in among]
+        above[self._taught + others] = above.min()
         if above.max() < least or things[above.argmax()] < fits:
             return None
         return self._names[above.argmax()], tuple(self._names[row] for row in np.flatnonzero(above < np.median(above)))
