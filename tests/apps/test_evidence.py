@@ -86,6 +86,8 @@ def test_what_is_named_by_no_word_but_clearly_meant_gets_a_scene_and_nothing_els
         assert not evidence.request(sentence).understood
     assert plain_instruction(evidence, None, "coud you fly to the horse") == "coud you fly to the horse"
     assert plain_instruction(evidence, None, "pls fly to teh elefant :)") == "Fly through the gate with the elephant"
+    assert plain_instruction(evidence, None, "the third gate") == "Fly through the right gate"
+    assert plain_instruction(evidence, None, "the gate in the middle") == "the gate in the middle"
     assert plain_instruction(evidence, None, "what is 3 + 4?") == "what is 3 + 4?"
 
 

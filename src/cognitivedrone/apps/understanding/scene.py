@@ -14,8 +14,10 @@ from cognitivedrone.apps.config import AUTO, FlyPlan
 from cognitivedrone.apps.understanding.evidence import Evidence, not_understood
 from cognitivedrone.apps.understanding.lexicon import spoken
 from cognitivedrone.apps.understanding.request import Request, Understanding
+from cognitivedrone.apps.understanding.sentence import placed
 from cognitivedrone.errors import NotUnderstood
 from cognitivedrone.labels import FolderPack, load_pack
+from cognitivedrone.models.words.refusals import normalised
 from cognitivedrone.tasks import Suite, track_at, vocabulary
 from cognitivedrone.tasks.directives import HOLD
 from cognitivedrone.tasks.facts import KIND_OF
@@ -167,7 +169,8 @@ def plain_instruction(evidence: Evidence, scene: ChosenScene | None, sentence: s
     """The instruction of the pilot for the user's sentence; none where that says nothing to it.
 
     It is the sentence word for word, in every scene and on every vehicle. Only where its words are no English, or mean
-    no thing to the pilot (a typing error, a foreign name) and are known here, it is told in English what they name.
+    no thing to the pilot (a typing error, a foreign name) and are known here, it is told in English what they name; as
+    is a gate's number ("gate 3", "the third gate"), which the program gives it.
     """
     if scene is not None and scene.made and not sentence:
         sentence = scene.track[0].instruction
@@ -177,7 +180,8 @@ def plain_instruction(evidence: Evidence, scene: ChosenScene | None, sentence: s
     if evidence.problem(sentence):
         return None
     request = evidence.understanding.understand(sentence)
-    if not request.understood or (evidence.as_typed(sentence) and not evidence.unclear(request)):
+    numbered = request.place is not None and not request.labels and placed(normalised(sentence)) != normalised(sentence)
+    if not request.understood or (not numbered and evidence.as_typed(sentence) and not evidence.unclear(request)):
         return sentence
     return sentence if len(request.labels) > 1 and not request.plain else f"Fly through {_meant(request)}"
 
