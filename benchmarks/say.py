@@ -93,7 +93,7 @@ def happened(row: dict[str, str], seed: int) -> tuple[str, str]:
 
 def _outcome(row: dict[str, str], summary: Summary) -> str:
     """The outcome of a flight; `time` if it hovered or wandered until the end, `crash` for any other end."""
-    if summary.ending.kind == "unsure":
+    if summary.ending.kind in ("unsure", "ordered"):
         return "decline" if summary.seconds < LIMIT_S else "time"
     if not summary.results:
         return "time"

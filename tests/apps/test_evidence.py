@@ -82,7 +82,13 @@ def test_what_is_named_by_no_word_but_clearly_meant_gets_a_scene_and_nothing_els
     assert evidence.request("head over to the thing firefighters drive").labels == {"object/fire_engine"}
     assert evidence.request("please fly to the animal that gives milk").labels == {"animal/cow"}
     assert evidence.request("something to do with music").labels == {"object/accordion"}
-    for sentence in ("take me to the Eiffel Tower", "kill all humans", "fly to the frobnitz"):
+    assert "food/pizza" in evidence.request("I'm hungry").labels
+    for sentence in (
+        "take me to the Eiffel Tower",
+        "kill all humans",
+        "fly to the frobnitz",
+        "what is the weather like",
+    ):
         assert not evidence.request(sentence).understood
     assert plain_instruction(evidence, None, "coud you fly to the horse") == "coud you fly to the horse"
     assert plain_instruction(evidence, None, "pls fly to teh elefant :)") == "Fly through the gate with the elephant"

@@ -48,6 +48,7 @@ def asked(sentence: str) -> set[str]:
         ("not apple - pear!", "food/pear"),
         ("sick of cars, let's take the bike", "object/bicycle"),
         ("sqrt of 25", "number/5"),
+        ("fly in the one with the number that comes after six", "number/7"),
         ("take the gate with the number that is 3 less than ten", "number/7"),
         ("I had five apples and ate two - how many are left?", "number/3"),
         ("how many legs does a spider have?", "number/8"),

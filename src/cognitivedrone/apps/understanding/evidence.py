@@ -50,9 +50,10 @@ class Evidence:
         among = [thing for thing, kind in KIND_OF.items() if kind in kinds] if len(kinds) == 1 else None
         # "The animal that gives milk" names a food, and means none.
         other = among and request.labels and not any(label.partition("/")[0] in kinds for label in request.labels)
-        if (request.understood and not other) or request.note or not self.concepts:
+        spoken = (not request.understood or other) and not request.note and self.as_typed(sentence)
+        if not spoken or self.concepts is None:
             return request
-        meant = self.concepts.meant(sentence, *(NAMED if _NAME.search(sentence) else CLEAR), among)
+        meant = self.concepts.meant(sentence, NAMED if _NAME.search(sentence) else CLEAR, among)
         if meant is None:
             return request
         kind = KIND_OF[meant[0]]

@@ -24,7 +24,7 @@ LARGEST_NUMBER = 20
 """The largest number that pilots were trained to read."""
 KIND_WORDS = {
     **dict.fromkeys(("animal", "creature", "beast", "critter"), "animal"),
-    **dict.fromkeys(("food", "snack"), "food"),
+    **dict.fromkeys(("food", "snack", "hungry"), "food"),
     **dict.fromkeys(("number", "numeral", "digit", "zahl", "ziffer", "numero", "chiffre", "cifra"), "number"),
     **dict.fromkeys(("letter", "buchstabe", "buchstaben", "lettre", "letra", "lettera"), "letter"),
 }

@@ -147,13 +147,13 @@ _COUNTED = re.compile(r"\b(?:how many|number of) (?P<what>\w+)\b")
 
 def answer(text: str) -> tuple[int | None, str]:
     """The result of a calculation that a normalised text asks for, if it does, and why no gate shows it."""
-    summed = _SUM.search(text)
-    number = calculate(re.sub(r"\bsqrt\b(?: of)?", "square root of", text)) if summed else told(text)
+    number = calculate(re.sub(r"\bsqrt\b(?: of)?", "square root of", text))
+    number = told(text) if number is None else number
     if number is not None:
         shown = 0 <= number <= LARGEST_NUMBER
         return number, "" if shown else f"the answer is {number}, and gates show 0 to {LARGEST_NUMBER}"
     # Words of sums are words of other things, too: only what is nothing but a calculation has no answer.
-    alone = summed and _ONLY_SUM.fullmatch(text)
+    alone = _SUM.search(text) and _ONLY_SUM.fullmatch(text)
     return None, f"{text.strip()!r} has no answer that is a whole number" if alone else ""
 
 

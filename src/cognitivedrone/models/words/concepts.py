@@ -23,13 +23,14 @@ from cognitivedrone.models.words.text_encoder import TextEncoderModel
 
 CONCEPTS: Final = "concepts"
 CONCEPTS_FILE: Final = "concepts.onnx"
+_ENGLISH = 3.1  # standard deviations: what is no English stays below
 STANDS_OUT: Final = 3.5
-"""Standard deviations: what is no English stays below 3.1."""
-CLEAR: Final = (3.3, 0.36)
-"""The same and a cosine, for what a sentence means that names nothing known: "I'm hungry" 3.4 and 0.41, "kill all
-humans" 3.5 and 0.34."""
-NAMED: Final = (6.0, 0.36)
-"""The same, where it has a name: "take me to the Eiffel Tower" 5.0."""
+"""Standard deviations from which a sentence means a thing."""
+CLEAR: Final = 1.43
+"""Standard deviations times cosine, for what a sentence means that names nothing known: "which of these has a trunk"
+1.71, "what is the weather like" 1.41, "kill all humans" 1.19."""
+NAMED: Final = 4.0
+"""The same, where it has a name: "take me to the Eiffel Tower" 3.1."""
 _NEAR = 0.04  # difference in cosine at which a concept counts e times less than one that fits better
 _NAMED = 0.4  # cosine from which a phrase names a concept
 _LEAST = 1e-6  # likelihood that no panel falls below
@@ -127,18 +128,19 @@ class Concepts:
         return self._heard[1:]
 
     def meant(
-        self, sentence: str, least: float = STANDS_OUT, fits: float = -1.0, among: Collection[str] | None = None
+        self, sentence: str, least: float | None = None, among: Collection[str] | None = None
     ) -> tuple[str, tuple[str, ...]] | None:
         """The thing of the table, or of those `among`, that a sentence means, and those that it does not; none where
-        none stands out by `least` standard deviations with the cosine `fits`.
+        none stands out by `STANDS_OUT`, or, of `least`, by so many standard deviations times its cosine.
         """
         things, _ = self.fits(sentence)
         above = (things - things.mean()) / things.std()
         others = [row for row, name in enumerate(self._names[: len(above)]) if among is not None and name not in among]
         above[self._taught + others] = above.min()
-        if above.max() < least or things[above.argmax()] < fits:
+        best = above.argmax()
+        if above[best] < (STANDS_OUT if least is None else _ENGLISH) or above[best] * things[best] < (least or 0.0):
             return None
-        return self._names[above.argmax()], tuple(self._names[row] for row in np.flatnonzero(above < np.median(above)))
+        return self._names[best], tuple(self._names[row] for row in np.flatnonzero(above < np.median(above)))
 
     def fits(self, instruction: str) -> Fits:
         """How well the things and the classes fit a sentence."""
