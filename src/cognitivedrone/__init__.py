@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from cognitivedrone.benchmark.evaluate import evaluate
 
 __all__ = ["__version__", "evaluate"]
-__version__ = "0.3.0.dev0"
+__version__ = "0.3.0"
 
 
 def __getattr__(name: str) -> Any:

@@ -1,7 +1,4 @@
-"""A flight of the command `fly` as its loop sees it: what to do now, and where the loop's reports go.
-
-Determines why a flight ended, from vehicle and scene.
-"""
+"""A flight of the command `fly` as its loop sees it: what to do now, where the loop's reports go, and why it ended."""
 
 from __future__ import annotations
 

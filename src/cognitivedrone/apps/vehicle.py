@@ -1,8 +1,7 @@
 """The command `sim`: serves the simulator as a vehicle, with MAVLink and camera frames over HTTP.
 
-Motion JPEG over HTTP: serves a simulated camera to other processes.
-
-An endless response of JPEGs between boundaries (multipart/x-mixed-replace), which browsers, FFmpeg and OpenCV can read.
+Frames are Motion JPEG: an endless response of JPEGs between boundaries (multipart/x-mixed-replace), which browsers,
+FFmpeg and OpenCV can read.
 """
 
 from __future__ import annotations

@@ -1,9 +1,4 @@
-"""What several statements of a sentence hold of together: names, groups and facts.
-
-How people are described in a request: features, synonyms of clothes and hair, and names of the cast.
-
-Letters, numbers and sums in a request, and why some of them are shown at no gate.
-"""
+"""What a sentence says of what is shown: statements that hold together, people, letters, numbers and sums."""
 
 from __future__ import annotations
 
