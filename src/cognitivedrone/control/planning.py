@@ -1,9 +1,9 @@
 """What a mission adds to a flight: its plan, and its landing.
 
-The plan is the reasoner's own, asked for on the ground, or else the sentence read by its words. A coloured pad is landed
-on by the drone's own camera: a command of the control loop, not of a network. The pad's colour is found in the image and
-its place on the floor follows from the camera's geometry; once the pad has left the view below the drone, its place is
-carried on by the measured velocity.
+The plan is the reasoner's own, asked for on the ground, or else the sentence read by its words. A coloured pad is
+landed on by the drone's own camera: a command of the control loop, not of a network. The pad's colour is found in the
+image and its place on the floor follows from the camera's geometry; once the pad has left the view below the drone, its
+place is carried on by the measured velocity.
 """
 
 from __future__ import annotations
