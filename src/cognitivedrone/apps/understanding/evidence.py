@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from cognitivedrone.apps.understanding import lexicon
 from cognitivedrone.apps.understanding.lexicon import KIND_WORDS
 from cognitivedrone.apps.understanding.request import Request, Understanding
-from cognitivedrone.models.words.concepts import CLEAR, NAMED, Concepts
+from cognitivedrone.models.words.concepts import CLEAR, Concepts
 from cognitivedrone.pilot import Pilot
 from cognitivedrone.reasoners.small import SmallReasoner
 from cognitivedrone.tasks.facts import KIND_OF
@@ -21,7 +21,10 @@ from cognitivedrone.tasks.missions import lands, look_of
 
 LANGUAGE = "the pilot knows English, and names of common things and colours in German, French, Spanish and Italian"
 _NAME = re.compile(r"(?<=[a-z,] )[A-Z][a-z]")
-"""Something that is known by its name alone: "the Eiffel Tower"."""
+_UNKNOWN_NAME = re.compile(
+    r"\b(?:with|to|through|for|at|find|see|me) (?:the|an?|some|any) \?(?: (?:with|of|wearing|that|in) .*)?$"
+)
+"""Something that is known by its name alone: "the Eiffel Tower", "to the unicorn"."""
 _FEW = 3
 """So many names of things may one word mean, as "bird" does not."""
 _EXAMPLE = "say what to fly to, such as 'fly to the dog'"
@@ -45,15 +48,18 @@ class Evidence:
 
     def request(self, sentence: str) -> Request:
         """What a sentence asks for: by its words, or else the thing that it means to the pilot."""
-        request = self.understanding.understand(sentence)
-        kinds = {KIND_WORDS.get(word) for word in self.understanding.typed(sentence)} & {"animal", "food"}
+        request, typed = self.understanding.understand(sentence), self.understanding.typed(sentence)
+        kinds = {KIND_WORDS.get(word) for word in typed} & {"animal", "food"}
         among = [thing for thing, kind in KIND_OF.items() if kind in kinds] if len(kinds) == 1 else None
         # "The animal that gives milk" names a food, and means none.
         other = among and request.labels and not any(label.partition("/")[0] in kinds for label in request.labels)
-        spoken = (not request.understood or other) and not request.note and self.as_typed(sentence)
-        if not spoken or self.concepts is None:
+        named = _NAME.search(sentence) or _UNKNOWN_NAME.search(
+            " ".join("?" if word in request.unknown else word for word in typed)
+        )
+        described = (not request.understood or other) and not request.note and not named and self.as_typed(sentence)
+        if not described or self.concepts is None:
             return request
-        meant = self.concepts.meant(sentence, NAMED if _NAME.search(sentence) else CLEAR, among)
+        meant = self.concepts.meant(sentence, CLEAR, among)
         if meant is None:
             return request
         kind = KIND_OF[meant[0]]

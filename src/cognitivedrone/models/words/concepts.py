@@ -29,8 +29,6 @@ STANDS_OUT: Final = 3.5
 CLEAR: Final = 1.43
 """Standard deviations times cosine, for what a sentence means that names nothing known: "which of these has a trunk"
 1.71, "what is the weather like" 1.41, "kill all humans" 1.19."""
-NAMED: Final = 4.0
-"""The same, where it has a name: "take me to the Eiffel Tower" 3.1."""
 _NEAR = 0.04  # difference in cosine at which a concept counts e times less than one that fits better
 _NAMED = 0.4  # cosine from which a phrase names a concept
 _LEAST = 1e-6  # likelihood that no panel falls below
