@@ -87,6 +87,7 @@ def test_what_is_named_by_no_word_but_clearly_meant_gets_a_scene_and_nothing_els
         "take me to the Eiffel Tower",
         "kill all humans",
         "fly to the frobnitz",
+        "through the gate with the unicorn",
         "what is the weather like",
     ):
         assert not evidence.request(sentence).understood
