@@ -26,7 +26,7 @@ BIN = "Scripts" if sys.platform == "win32" else "bin"
 EXTRAS = ["mavlink", "ros", "test", "vlm"]  # those that bring no PyTorch and no Ray
 FAST_TESTS = ["benchmark", "contract", "data", "envs", "control", "labels", "models", "policies", "reasoners", "sim"]
 FAST_TESTS += ["tasks", "world", "cli/test_cli.py", "project/test_imports.py"]
-FAST_TESTS += ["test_errors.py", "test_frames.py", "test_types.py"]
+FAST_TESTS += ["test_errors.py", "test_frames.py"]
 WHERE = "import pathlib, cognitivedrone; print(pathlib.Path(cognitivedrone.__file__).parent)"
 
 
