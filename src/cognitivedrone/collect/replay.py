@@ -1,7 +1,4 @@
-"""Replay of a recorded episode: the commands that were sent, from the recorded start.
-
-Import of data sets in other formats into a store.
-"""
+"""What comes from flights that were recorded elsewhere: another format as a store, and an episode flown once more."""
 
 from __future__ import annotations
 

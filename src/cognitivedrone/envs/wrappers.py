@@ -1,9 +1,8 @@
-"""Observation wrappers for learners: instructions as vectors, for libraries without `Text`, and smaller images.
+"""What learners see in place of a pilot's observation, and what rewards them.
 
-For learning to fly: a privileged state in place of pictures, and a reward that tells of progress.
-
-Both know the right gate, which no pilot does: they are for studying control, and for teachers. What is scored sees
-pictures and sentences.
+For libraries without `Text`: instructions as vectors, and smaller images. For learning to fly: a privileged state in
+place of pictures, and a reward that tells of progress. The last two know the right gate, which no pilot does: they are
+for studying control, and for teachers.
 """
 
 from __future__ import annotations

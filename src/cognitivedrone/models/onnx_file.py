@@ -1,9 +1,7 @@
-"""Self-describing ONNX files: a JSON table in the file's metadata, validated before use.
+"""ONNX files that describe themselves and tell when they are damaged, both before they are run.
 
-Checksums of model files, which detect damage before a file is run.
-
-A file holds the SHA-256 of its own content, computed with zeros in the checksum's place: `sha256-of-this-file:` and 64
-digits somewhere in its bytes. `seal` fills it in, `check` compares.
+A JSON table in the file's metadata says what the model is; a checksum, what its bytes were: `sha256-of-this-file:` and
+64 digits somewhere in them, computed with zeros in their place. `seal` fills it in, `check` compares.
 """
 
 from __future__ import annotations

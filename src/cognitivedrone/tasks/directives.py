@@ -29,7 +29,8 @@ _AROUND = frozenset(
     re.findall(
         r"\w+",
         "fly go head pass move steer navigate aim take cross enter find please now drone i want you to would like could"
-        " can through at for towards toward into the a an and that this which is coloured colored shaped gate",
+        " can through via at for towards toward into the a an and that this which is coloured colored shaped request"
+        " transit gate portal hoop",
     )
 )
 """Words of a directive that say nothing of the gate."""
@@ -55,7 +56,7 @@ def parse_directive(text: str) -> tuple[Size | None, Color | None, Shape | None]
     red gate with 9", are parsed as well.
     """
     words = re.findall(r"[a-z]+", text.lower())
-    stop = next((i for i, word in enumerate(words) if word in ("gate", "gates", "with")), len(words))
+    stop = next((i for i, word in enumerate(words) if word in ("gate", "gates", "portal", "with")), len(words))
     size: Size | None = None
     color: Color | None = None
     shape: Shape | None = None
@@ -74,7 +75,7 @@ def looks_asked(text: str) -> tuple[Size | None, Color | None, Shape | None] | N
     said = re.findall(r"[^\W_]+", text.lower())
     words = [word for word in said if word not in _AROUND]
     found = [next((kind for kind, known in enumerate(_LOOKS) if word in known), None) for word in words]
-    if not words or "gate" not in said or None in found or len({*found}) < len(found):
+    if not words or {"gate", "portal", "hoop"}.isdisjoint(said) or None in found or len({*found}) < len(found):
         return None
     return parse_directive(" ".join(words))
 

@@ -1,8 +1,6 @@
-"""Training: in this process, or on several of this machine (`processes`).
+"""Training of the recipes named here: in this process, or on several of this machine (`processes`).
 
 `torchrun ... -m` this module runs it on several machines or GPUs; the launcher gives each process its rank.
-
-Training recipes of the small models, as named frozen dataclasses.
 """
 
 from __future__ import annotations

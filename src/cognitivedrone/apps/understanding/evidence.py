@@ -20,7 +20,7 @@ from cognitivedrone.tasks.facts import KIND_OF
 from cognitivedrone.tasks.missions import lands, look_of
 
 LANGUAGE = "the pilot knows English, and names of common things and colours in German, French, Spanish and Italian"
-_NAME = re.compile(r"(?<=[a-z,] )[A-Z][a-z]")
+_NAME = re.compile(r"\b(?:the|to|with|an?) [A-Z][a-z]")
 _UNKNOWN_NAME = re.compile(
     r"\b(?:with|to|through|for|at|find|see|me) (?:the|an?|some|any) \?(?: (?:with|of|wearing|that|in) .*)?$"
 )

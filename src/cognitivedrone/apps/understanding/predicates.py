@@ -119,10 +119,7 @@ def _bare(phrase: str) -> str:
     return " ".join(words_of(normalised(re.sub(r"^an? ", "", phrase))))
 
 
-_SUM = re.compile(
-    r"\d[\s)]*[-+*/x^]\s*[\s(]*\d|\b(?:plus|minus|times|divided|sum|half|twice|double|squared?|cubed?|root|sqrt|percent|"
-    r"multiplied)\b|\b\w+ (?:less|fewer|more) than\b|\b(?:third|quarter|fifth|tenth)s? of\b"
-)
+_SUM = re.compile(r"\d[\s)]*[-+*/x^]\s*[\s(]*\d|\bdivided\b")
 _ONLY_SUM = re.compile(
     r"(?:what(?: is|s)?|how much(?: is)?|calculate|\s)*[\d\s.()*/x^+-]+(?:divided by [\d\s]+)?[=?\s]*"
 )

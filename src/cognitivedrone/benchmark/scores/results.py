@@ -1,10 +1,8 @@
-"""The results of a run and their file, results.json. The schema is documented in docs/benchmark.md.
+"""The results of a run, and their file, results.json, whose schema docs/benchmark.md documents.
 
-Dataclasses to JSON and back, through cattrs; reading checks every field.
-
-`decode` derives its schema from the type hints and rejects an invalid file with the path of the first invalid value.
-Non-finite numbers are written as null, and null is read as NaN where a float is expected. A field with the metadata
-`{"json": "where set"}` is omitted at its default.
+cattrs takes the dataclasses to JSON and back: `decode` derives its schema from the type hints, checks every field, and
+rejects an invalid file with the path of the first invalid value. Non-finite numbers are written as null, and null is
+read as NaN where a float is expected. A field with the metadata `{"json": "where set"}` is omitted at its default.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Checkpoints without pickle: tensors as safetensors, the rest as JSON in the same file's header.
+"""What a training run leaves in its folder: checkpoints, and a log of measures.
 
-The log of a training run: a row of measures every so often, as JSON lines, TensorBoard, curves and words; and where
-its time goes.
+A checkpoint is one file without pickle: tensors as safetensors, the rest as JSON in its header. The log is a row of
+measures every so often, as JSON lines, TensorBoard, curves and words, and says where the time goes.
 """
 
 from __future__ import annotations
