@@ -305,6 +305,8 @@ class EpisodeContext:
     """Only in a simulator, and only if `needs_ground_truth` is declared."""
     real_time: bool = False
     """Whether the drone flies on while the policy computes, on the wall clock; virtual time waits for it."""
+    same_stage: bool = False
+    """Whether this is another instruction in the middle of a stage: the gates stand where they stood."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -94,10 +94,10 @@ class Notes:
         self.events.append(event.kind)
 
 
-def flown(judge, seconds=40.0, policy=None, look="yes", height_px=30.0):
+def flown(judge, seconds=40.0, policy=None, look="yes", height_px=30.0, kind=Judging):
     drone, notes = Plane(), Notes()
     policy, doubt = policy or Steady(0.0, 0.0, 0.0, 0.0), CloserLook.of(look)
-    reasoner = SimulatedReasoner(Judging(drone, judge, height_px))
+    reasoner = SimulatedReasoner(kind(drone, judge, height_px))
     fly(
         drone, policy, drone, lambda: Segment(0, "the bird") if drone.time < seconds else None,
         reasoner=reasoner, look=doubt, recorder=notes,
@@ -177,6 +177,18 @@ def test_a_drone_that_only_turns_looks_for_its_gate():
     _, notes, doubt = flown(lambda _: (RED, 0.9), 9.0, Steady(0.0, 0.0, 0.0, 1.0))
     assert "hold" in notes.events
     assert doubt.reason == "the gate that it flew to is out of sight"
+
+
+def test_a_gate_that_is_named_and_out_of_sight_is_looked_for_at_once():
+    class Remembering(Judging):
+        def refine(self, image, instruction):
+            found = super().refine(image, instruction)
+            self.seen = (SeenPanel("blue", None, "", ()), *self.seen)
+            return found
+
+    _, notes, doubt = flown(lambda _: (RED, 0.9), 2.0, kind=Remembering)
+    assert "hold" in notes.events
+    assert doubt.reason == "the gate is out of sight"
 
 
 def test_what_nobody_understands_is_declined():

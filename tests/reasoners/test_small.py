@@ -172,6 +172,19 @@ def test_a_gate_that_has_left_the_view_is_remembered(made):
     assert "letter A" in parts.asked[1].gates[0]
 
 
+def test_another_instruction_in_the_middle_of_a_stage_leaves_what_was_seen(made):
+    parts = Scripted(reading_of(LETTERS), *[reading_of(LETTERS, scores=(0.05, 1, 1))] * 2)
+    reasoner = made(parts)
+    reasoner.refine(FRAME, "to the letter A")
+    reasoner.reset(EpisodeContext("to the letter B", stage=1, same_stage=True))
+    reasoner.refine(FRAME, "to the letter B")
+    assert "letter A" in parts.asked[1].gates[0]
+    assert "earlier" not in parts.asked[1].context
+    reasoner.reset(EpisodeContext("to the letter B", stage=1))
+    with pytest.raises(ReasonerError, match="only 2 of 3 gates"):
+        reasoner.refine(FRAME, "to the letter B")
+
+
 def test_a_board_that_leaves_the_view_is_not_read_anew(made):
     labels = ("number/12@inter", "number/6@inter", "number/3@inter")
     cut = reading_of(labels, board="sum/1+5@inter", board_v=10)

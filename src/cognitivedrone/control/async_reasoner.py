@@ -90,6 +90,8 @@ class Question:
     """Only in a simulator, for reasoners that need it."""
     goal: SubGoal | None = None
     """What this part of a mission is about."""
+    stage: int | None = None
+    """Number of the stage, if several segments may belong to one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,6 +223,7 @@ class _Thinker:
         self._watch = watch
         self._seed = seed
         self._segment: int | None = None
+        self._stage: int | None = None
         self._chosen: str | None = None
         self._row = 0
 
@@ -236,8 +239,10 @@ class _Thinker:
         reasoner = self._reasoner
         if question.segment != self._segment:
             stage = 0 if self._segment is None else question.segment
-            begin_stage(reasoner, EpisodeContext(question.instruction, self._seed, stage, question.truth))
-            self._segment, self._chosen, self._row = question.segment, None, 0
+            same = question.stage is not None and question.stage == self._stage
+            context = EpisodeContext(question.instruction, self._seed, stage, question.truth, same_stage=same)
+            begin_stage(reasoner, context)
+            self._segment, self._stage, self._chosen, self._row = question.segment, question.stage, None, 0
         if question.goal is None:
             return reasoner.refine(question.image, question.instruction)
         found = _within(question.goal, question.image, reasoner, self._chosen if self._row >= STAYS else None)

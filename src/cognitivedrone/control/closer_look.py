@@ -153,6 +153,8 @@ class CloserLook:
             self.sure = value if self._answers == 1 else self.sure + self.rule.newest * (value - self.sure)
             if self._answers >= self.rule.answers and self.sure < self.rule.below and not self._looks:
                 self._look()
+            elif self._answers == 1 and self.rule.below > 0 and heights and _out_of_sight(answer):
+                self._look("the gate is out of sight")
             return not self.active
         if not self._arrived or answer.question.time < self._since:
             return False
@@ -209,6 +211,12 @@ class CloserLook:
     def _here(self) -> tuple[float, float, float]:
         x, y, yaw = self._pose.tolist()
         return x, y, yaw
+
+
+def _out_of_sight(answer: Answer) -> bool:
+    """Whether an answer names a gate that its frame does not show."""
+    gate = None if answer.guidance is None else answer.guidance.gate
+    return gate is not None and gate < len(answer.seen) and answer.seen[gate].box is None
 
 
 def _towards(offset: FloatArray, way: float, turn: float, rule: LookRule) -> Action:

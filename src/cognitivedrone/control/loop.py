@@ -129,11 +129,8 @@ def fly(
         if reasoner is not None and not landing:
             _poll(reasoner, directive_filter, look, late_answers, segment, start, clock.now(), log)
             if slot >= next_question and look.listens and reasoner.idle(clock.now()):
-                reasoner.ask(
-                    Question(
-                        segment.index, segment.instruction, observation.image, clock.now(), segment.truth, segment.goal
-                    )
-                )
+                told = segment.truth, segment.goal, stage
+                reasoner.ask(Question(segment.index, segment.instruction, observation.image, clock.now(), *told))
                 log.note(Event(clock.now() - start, "asked", segment.instruction))
                 next_question = slot + CONTROL_HZ // REASONER_HZ
                 _poll(reasoner, directive_filter, look, late_answers, segment, start, clock.now(), log)

@@ -119,8 +119,12 @@ class SmallReasoner(Reasoner):
     def reset(self, context: EpisodeContext) -> None:
         """Forget everything at the start of a flight.
 
-        At a later stage, remember the previous one: what its panels showed, and which gate was flown through.
+        At a later stage, remember the previous one: what its panels showed, and which gate was flown through. Another
+        instruction in the middle of a stage changes nothing of what was seen.
         """
+        if context.same_stage:
+            self._stage.chosen = None
+            return
         self.seen = ()
         if self._opinions is not None:
             self._opinions.reset()
