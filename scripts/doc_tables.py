@@ -56,7 +56,7 @@ PAST_OBSTACLES = (
     "{smallest_passed_m:.2f} m",
     "{spl:.2f}",
 )
-PILOTS_AND_BASELINES = ("r1", "small", "colour_seeker_oracle", "colour_seeker", "race", "oracle", "hover")
+PILOTS_AND_BASELINES = ("r1", "small", "colour_seeker_oracle", "colour_seeker", "cloned", "race", "oracle", "hover")
 
 FLOWN: Final = frozenset(
     (
@@ -72,6 +72,8 @@ TABLES: Final[dict[str, Description]] = {
     "headline": by_suite(("r1", "small", "race"), README_SUITES),
     # docs/audit.md
     "leaderboard": leaderboard_table,
+    # docs/own_policy.md
+    "cloned": by_suite(("cloned", "race", "small"), ("open-v1:test", "open-v2:layouts", "open-v1:unseen")),
     # docs/scores.md
     "paper": paper,
     "held-out": by_suite(PILOTS_AND_BASELINES, HELD_OUT),

@@ -18,6 +18,7 @@ PILOTS = {
     "small": "**`small`**: our small VLA, from the raw instruction",
     "colour_seeker_oracle": "`colour_seeker` with gold directives (`--reasoner oracle`): flies, need not choose",
     "colour_seeker": "`colour_seeker` with the raw instruction: chooses at random",
+    "cloned": "Stable-Baselines3's own network, cloned from 600 flights (`benchmarks/cloning.py`)",
     "race": "`race`: the paper's baseline, without language: flies at the middle one of three gates",
     "oracle": "`oracle`: uses privileged state",
     "hover": "`hover`: stays where it is",
