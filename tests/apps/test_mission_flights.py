@@ -91,20 +91,22 @@ def test_another_gate_is_flown_through_when_a_person_says_so(tmp_path, correctio
     assert task.gates[result.chosen].color in others[len(corrections) - 1 :]
 
 
-@pytest.mark.parametrize(
-    "lines",
-    [
-        pytest.param({"at_1": "no, the other one"}, id="of the first sentence"),
-        pytest.param({"at_10": "the elephant", "at_11": "no, the other one"}, id="of a new sentence"),
-    ],
-)
-def test_before_the_reasoner_has_answered_there_is_no_gate_to_correct(tmp_path, lines):
-    (result,) = flying("the elephant", tmp_path / "out", orders=Typed(**lines)).results
+def test_before_the_reasoner_has_answered_there_is_no_gate_to_correct(tmp_path):
+    (result,) = flying("the elephant", tmp_path / "out", orders=Typed(at_1="no, the other one")).results
     assert result.outcome == "passed"
     events = events_of(tmp_path / "out")
     assert "corrected" not in [event["kind"] for event in events]
     said = {event["text"] for event in events if event["kind"] == "segment"}
     assert "no, the other one" not in said
+
+
+def test_a_new_sentence_is_answered_at_once_by_what_was_seen_of_the_stage(tmp_path):
+    """So the correction in the next step means the gate that it has just named."""
+    orders = Typed(at_10="the elephant", at_11="no, the other one")
+    assert flying("the elephant", tmp_path / "out", orders=orders).results[0].outcome == "wrong_gate"
+    kinds = [event["kind"] for event in events_of(tmp_path / "out")]
+    assert (kinds.count("segment"), kinds.count("corrected")) == (2, 1)
+    assert "unsure" not in kinds
 
 
 @pytest.mark.parametrize(

@@ -38,6 +38,7 @@ def asked(sentence: str) -> set[str]:
         ("\N{SLICE OF PIZZA}", "food/pizza"),
         ("what is 3 + 4?", "number/7"),
         ("the letter after B", "letter/C"),
+        ("Fly inside of gate with letter of name M", "letter/M"),
         ("the Apple logo", "logo/apple"),
         ("m", "letter/M"),
         ("catt", "animal/cat"),

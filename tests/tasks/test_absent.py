@@ -201,7 +201,7 @@ def test_collecting_refuses_them(tmp_path: Path):
         ("Fly through the big triangle gate", ("big", None, "triangle")),
         ("Please go through the little blue gate!", ("small", "blue", None)),
         ("I want you to fly to the gate that is round and red", (None, "red", "round")),
-        ("Request transit via the green portal", (None, "green", None)),
+        ("Request transit via the green portal, over", (None, "green", None)),
         ("Fly through the gate", None),
         ("Fly through the round one", None),
         ("Fly to the gate with the ring", None),

@@ -31,6 +31,7 @@ def typed(name):
         ("through the dog twice, then land", ["Fly through the dog", "Fly through the dog", "Land on the pad"]),
         ("before you land on the red pad, fly through the trophy", ["Fly through the trophy", "Land on the red pad"]),
         ("after the cat, fly to the dog", ["Fly to the cat", "Fly to the dog"]),
+        ("you lazy robot, fly to the cat, then land", ["Fly to the cat", "Land on the pad"]),
         ("Go through the apple and land on the blue pad", ["Go through the apple", "Land on the blue pad"]),
     ],
 )  # fmt: skip

@@ -29,8 +29,8 @@ _AROUND = frozenset(
     re.findall(
         r"\w+",
         "fly go head pass move steer navigate aim take cross enter find please now drone i want you to would like could"
-        " can through via at for towards toward into the a an and that this which is coloured colored shaped request"
-        " transit gate portal hoop",
+        " can through via at for towards toward into the a an and that this which is coloured colored shaped over"
+        " request transit gate portal hoop",
     )
 )
 """Words of a directive that say nothing of the gate."""

@@ -285,6 +285,7 @@ class Understanding:
         """The names in a sentence, longest first in place, and those after an article before others."""
         found: list[tuple[float, int, Predicate]] = []
         logo = bool(_LOGO_WORDS & set(words))
+        signs = predicates.symbols(words, sentence)
         at = 0
         while at < len(words):
             size = next(
@@ -299,9 +300,12 @@ class Understanding:
             before = words[max(0, at - 3) : at]
             led = bool(before) and before[-1] in _ARTICLES
             ordinary = size == 1 and key[0] in _ORDINARY
+            of_sign = size == 1 and key[0] in KIND_WORDS and any(0 < place - at < 4 for place, _ in signs)
             addressed = "you" in before and not led and not {"to", "at", "for", "find", "see", "show"} & set(before)
             if not (
-                addressed or (size == 1 and (key[0] in _SMALL_TALK or (not logo and key[0] in ("go", "git", "react"))))
+                of_sign
+                or addressed
+                or (size == 1 and (key[0] in _SMALL_TALK or (not logo and key[0] in ("go", "git", "react"))))
             ):
                 # What is flown to comes first, then what is spoken of as known.
                 rank = (
@@ -311,10 +315,7 @@ class Understanding:
             at += size
         # A sign that is not asked for as one counts where nothing else is named: "the dog in 3 seconds".
         sign_words = KIND_WORDS.keys() | _TOWARDS | _ARTICLES
-        found += [
-            (-2.0 if sign_words & set(words[max(0, at - 3) : at]) else -0.5, at, each)
-            for at, each in predicates.symbols(words, sentence)
-        ]
+        found += [(-2.0 if sign_words & set(words[max(0, at - 3) : at]) else -0.5, at, each) for at, each in signs]
         sure = [each for rank, _, each in sorted(found, key=lambda each: each[:2]) if rank]
         return sure or [each for *_, each in found]
 
