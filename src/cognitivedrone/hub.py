@@ -30,6 +30,7 @@ from cognitivedrone.models.words.concepts import CONCEPTS_FILE, ConceptsModel
 from cognitivedrone.models.words.selector_file import SELECTOR_FILE, GateSelectorModel
 from cognitivedrone.models.words.text_encoder import FILE as ENCODER_FILE
 from cognitivedrone.models.words.text_encoder import TextEncoderModel
+from cognitivedrone.models.words.word_pieces import PIECES_FILE, WordPieces
 from cognitivedrone.system import move_folder
 from cognitivedrone.system.imports import switch_off
 
@@ -141,6 +142,7 @@ _LOADERS: Final[dict[str, Any]] = {
     EYES_FILE: EyesModel.load,
     SELECTOR_FILE: GateSelectorModel.load,
     LANGUAGE_FILE: Mind.load,
+    PIECES_FILE: WordPieces.load,
     ENCODER_FILE: TextEncoderModel.load,
     CLASSIFIER_FILE: PictureClassifier.load,
     CONCEPTS_FILE: ConceptsModel.load,

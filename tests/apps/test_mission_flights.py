@@ -75,7 +75,7 @@ def test_a_landing_that_is_typed_where_there_is_no_pad_ends_the_flight_there(tmp
     "corrections", [{"at_15": "no, the other one"}, {"at_12": "wrong one!", "at_24": "not that one"}]
 )
 def test_another_gate_is_flown_through_when_a_person_says_so(tmp_path, corrections):
-    summary = flying("the pizza", tmp_path / "out", orders=Typed(**corrections))
+    summary = flying("the pizza", tmp_path / "out", orders=Typed(**corrections), seed=3)
     (result,), (task,) = summary.results, summary.track
     assert (result.outcome, summary.ending.kind) == ("wrong_gate", "flown")
     assert "you judge" in summary.ending.reason

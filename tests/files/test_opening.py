@@ -52,6 +52,7 @@ ALLOWED: dict[str, frozenset[str]] = {
         "models/onnx_file.py": "onnx.load, onnx.save, path.open",
         "models/openvla/weights.py": "safe_open, save_file",
         "training/small_vla/graph.py": "onnx.load, onnx.save",
+        "training/trainer/eight_bits.py": "onnx.load, onnx.load",
         "training/trainer/checkpoint.py": "safe_open, save_file, figure.savefig",
         "vehicles/camera.py": "av.open",
     }.items()

@@ -27,7 +27,7 @@ from cognitivedrone.models.eyes.sight import LOOKS
 
 constants = pytest.importorskip("huggingface_hub.constants")
 pytestmark = pytest.mark.filterwarnings("ignore:Use 'content:DeprecationWarning")  # of the library's upload
-MODELS = {"eyes.onnx", "gate_selector.onnx", "language.onnx", "text_encoder.onnx"}
+MODELS = {"eyes.onnx", "gate_selector.onnx", "language.onnx", "text_encoder.onnx", "word_pieces.onnx"}
 
 
 @pytest.fixture
@@ -86,12 +86,12 @@ def test_a_reasoner_comes_back_as_it_was_and_at_the_commit_asked_for(hub, reader
     assert content(tmp_path / "new") == models
     assert content(tmp_path / "old") == models | {"recipe.json": b"{}"}
     record = json.loads((tmp_path / "old.hub.json").read_text())
-    assert record == {"name": "me/eyes", "kind": "reasoner", "revision": commit, "endpoint": hub.url, "files": 5,
+    assert record == {"name": "me/eyes", "kind": "reasoner", "revision": commit, "endpoint": hub.url, "files": 6,
                       "bytes": sum(map(len, content(tmp_path / "old").values()))}  # fmt: skip
     assert hub.repos["model me/eyes"].private
     said = capfd.readouterr()
     assert TOKEN not in first.out + first.err + said.out + said.err
-    assert "4/4" in said.err  # a progress bar
+    assert "5/5" in said.err  # a progress bar
     assert os.environ["HF_HUB_DISABLE_TELEMETRY"] == "1"
     assert not any("telemetry" in request for request in hub.requests)
 
@@ -127,7 +127,7 @@ def test_a_dry_run_lists_what_a_push_would_send_and_sends_nothing(hub, reader, c
     main(["hub", "push", str(reader), "me/eyes", "--dry-run"])
     said = capsys.readouterr().out
     assert "2 B  recipe.json" in said
-    assert "a reasoner of 5 files" in said
+    assert "a reasoner of 6 files" in said
     assert "state.pt" not in said
     assert hub.requests == []
 
@@ -233,7 +233,7 @@ def test_the_packaged_models_are_of_known_kinds():
     folder = Path(str(resources.files("cognitivedrone.models") / "weights"))
     shared = contents_of(folder / "small")
     assert shared.kind == "policy and reasoner"
-    assert set(shared.files) == MODELS - {"text_encoder.onnx"} | {"model.onnx"}
+    assert set(shared.files) == MODELS - {"text_encoder.onnx", "word_pieces.onnx"} | {"model.onnx"}
     assert kind_of(folder / "race") == ("model", "policy")
     for path in folder.glob("*.onnx"):  # that all of them share
         _LOADERS[path.name](path)

@@ -24,6 +24,7 @@ from cognitivedrone.models.small_file import KIND, SmallModel, describe, read_de
 from cognitivedrone.models.words.concepts import ConceptsModel
 from cognitivedrone.models.words.selector_file import GateSelectorModel
 from cognitivedrone.models.words.text_encoder import TextEncoderModel
+from cognitivedrone.models.words.word_pieces import WordPieces
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 
@@ -59,6 +60,7 @@ def test_a_sample_of_damaged_files_is_found(tmp_path: Path) -> None:
         ("small/gate_selector.onnx", GateSelectorModel.load),
         ("small/language.onnx", Mind.load),
         ("text_encoder.onnx", TextEncoderModel.load),
+        ("word_pieces.onnx", WordPieces.load),
     ],
 )
 def test_a_shipped_file_is_known_wherever_it_is_and_whole(

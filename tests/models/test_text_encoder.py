@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tiny import DIGEST, PIECES, WIDTH, heard, tiny_encoder, tiny_model
+from tiny import DIGEST, PIECES, WIDTH, heard, tiny_encoder, tiny_model, tiny_pieces
 
 from cognitivedrone.errors import ModelError
 from cognitivedrone.models.words import text_encoder
@@ -25,7 +25,7 @@ def refused(load) -> str:
 
 
 def test_a_sentence_has_the_same_words_alone_and_in_a_batch(encoder):
-    assert (encoder.digest, encoder.size, encoder.tokenizer.pieces) == (DIGEST, WIDTH, PIECES)
+    assert (encoder.digest, encoder.size, encoder.pieces.known) == (DIGEST, WIDTH, PIECES)
     texts = ["fly", "fly through the small gate", "the gate"]
     batch = encoder.batch(texts)
     assert batch.shape == (3, 6, WIDTH)
@@ -107,13 +107,27 @@ def test_a_file_of_another_kind_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("fields", "says"),
     [
-        ({"pieces": ["[PAD]", 1]}, "an entry that is not a word"),
-        ({"pieces": ["fly"]}, "is no word-piece vocabulary"),
+        ({"words": 3}, "'words'"),
+        ({"words": "e" * 64}, "was trained with other word pieces than"),
         ({"digest": 3}, "'digest'"),
-        ({"size": 0}, "'size'"),
-        ({"size": 5}, "output 'words'"),
     ],
 )
 def test_a_description_that_cannot_be_trusted(tmp_path, fields, says):
     path = tiny_encoder(tmp_path, **fields)
+    assert says in refused(lambda: TextEncoderModel.load(path))
+
+
+@pytest.mark.parametrize(
+    ("fields", "says"),
+    [
+        ({"pieces": ["[PAD]", 1]}, "an entry that is not a word"),
+        ({"pieces": ["fly"]}, "is no word-piece vocabulary"),
+        ({"digest": 3}, "'digest'"),
+        ({"size": 0}, "'size'"),
+        ({"size": 5}, "output 'embedded'"),
+    ],
+)
+def test_word_pieces_that_cannot_be_trusted(tmp_path, fields, says):
+    path = tiny_encoder(tmp_path)
+    tiny_pieces(tmp_path, **fields)
     assert says in refused(lambda: TextEncoderModel.load(path))

@@ -16,12 +16,13 @@ from cognitivedrone.models.onnx_file import Provenance, write_table
 from cognitivedrone.models.small_file import STATE, ActionStatistics, Description, describe
 from cognitivedrone.models.words.selector_file import SELECTOR, SELECTOR_FILE
 from cognitivedrone.models.words.text_encoder import FILE, TEXT_ENCODER
+from cognitivedrone.models.words.word_pieces import EMBEDDED, PIECES_FILE, WORD_PIECES
 
 CHUNK = 2
 WIDTH = 3
 """Of the tiny text encoder."""
 DIGEST = "d" * 64
-"""Of the tiny text encoder."""
+"""Of the tiny text encoder, and of its word pieces."""
 PIECES = (
     *("[PAD]", "[UNK]", "[CLS]", "left", "gate", "letter", "a", "b", "c"),
     *("fly", "through", "the", "red", "small", "round", "with"),
@@ -56,6 +57,11 @@ INPUTS: Inputs = {
     "whole": (TensorProto.FLOAT, ["batch", 1]),
     "state": (TensorProto.FLOAT, ["batch", STATE]),
 }
+READ: Inputs = {
+    **{name: (TensorProto.INT64, ["batch", "length"]) for name in ("tokens", "positions", "parts")},
+    EMBEDDED: (TensorProto.FLOAT, ["batch", "length", WIDTH]),
+}
+"""What text encoder and gate selector are given."""
 OUTPUTS: Inputs = {
     "options": (TensorProto.FLOAT, ["batch", 4, CHUNK, 4]),
     "inclination": (TensorProto.FLOAT, ["batch", 4]),
@@ -203,25 +209,38 @@ def open_model_file(path: Path) -> Path:
     return tiny_model(path, OPEN_DESCRIPTION)
 
 
-def tiny_encoder(folder: Path, **fields: Any) -> Path:
-    """Write a text encoder that gives every token its number / 100 as the first of three values; `fields` change what
-    it says of itself.
+def tiny_pieces(folder: Path, **fields: Any) -> Path:
+    """Write word pieces of which each begins with its number / 100 as the first of three values; `fields` change what
+    they say of themselves.
     """
-    tokens: Inputs = {name: (TensorProto.INT64, ["batch", "length"]) for name in ("tokens", "positions", "parts")}
-    told: Inputs = {"words": (TensorProto.FLOAT, ["batch", "length", WIDTH])}
+    tokens: Inputs = {"tokens": (TensorProto.INT64, ["batch", "length"])}
+    told: Inputs = {EMBEDDED: (TensorProto.FLOAT, ["batch", "length", WIDTH])}
     node = helper.make_node
     nodes = [
         node("Cast", ["tokens"], ["numbers"], to=TensorProto.FLOAT),
         node("Unsqueeze", ["numbers", "last"], ["column"]),
-        node("Mul", ["column", "first"], ["words"]),
+        node("Mul", ["column", "first"], [EMBEDDED]),
     ]
     initializers = [
         numpy_helper.from_array(np.array([-1], np.int64), "last"),
         numpy_helper.from_array(np.array([0.01, 0, 0], np.float32), "first"),
     ]
-    path = folder / FILE
+    path = folder / PIECES_FILE
     onnx.save(model_of(nodes, tokens, told, initializers), str(path))
-    write_table(path, TEXT_ENCODER, {"pieces": PIECES, "digest": DIGEST, "size": WIDTH, **fields})
+    write_table(path, WORD_PIECES, {"pieces": PIECES, "digest": DIGEST, "size": WIDTH, **fields})
+    return path
+
+
+def tiny_encoder(folder: Path, **fields: Any) -> Path:
+    """Write a text encoder that leaves its tokens as they begin, and its word pieces; `fields` change what it says of
+    itself.
+    """
+    tiny_pieces(folder)
+    told: Inputs = {"words": (TensorProto.FLOAT, ["batch", "length", WIDTH])}
+    path = folder / FILE
+    node = helper.make_node("Identity", [EMBEDDED], ["words"])
+    onnx.save(model_of([node], READ, told, []), str(path))
+    write_table(path, TEXT_ENCODER, {"words": DIGEST, "digest": DIGEST, **fields})
     return path
 
 
@@ -250,11 +269,10 @@ def tiny_reasoner(
     eyes = folder / EYES_FILE
     onnx.save(_constant({"image": (TensorProto.UINT8, ["batch", 256, 256, 3])}, outputs, told), str(eyes))
     write_table(eyes, EYES, {**table, "width": 1})
-    inputs: Inputs = {name: (TensorProto.INT64, ["batch", "length"]) for name in ("tokens", "positions", "parts")}
     answer = {"logits": np.array(logits, np.float32)}
     selector = folder / SELECTOR_FILE
-    onnx.save(_constant(inputs, {"logits": (TensorProto.FLOAT, ["batch", len(logits)])}, answer), str(selector))
-    write_table(selector, SELECTOR, {**table, "pieces": PIECES, "notes": {}})
+    onnx.save(_constant(READ, {"logits": (TensorProto.FLOAT, ["batch", len(logits)])}, answer), str(selector))
+    write_table(selector, SELECTOR, {**table, "words": DIGEST, "notes": {}})
     tiny_encoder(folder)
     shapes: dict[str, list[int | str]] = {
         "words": ["length", WIDTH],
@@ -263,7 +281,7 @@ def tiny_reasoner(
         "board": [count],
         "seen": [],
     }
-    inputs = {name: (TensorProto.FLOAT, ["batch", *size]) for name, size in shapes.items()}
+    inputs: Inputs = {name: (TensorProto.FLOAT, ["batch", *size]) for name, size in shapes.items()}
     answer = {"match": np.array(language, np.float32), "choice": np.array(language[:3], np.float32)}
     outputs = {name: (TensorProto.FLOAT, ["batch", len(value)]) for name, value in answer.items()}
     path = folder / LANGUAGE_FILE

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tiny import DESCRIPTION, DIGEST, PIECES, tiny_reasoner
+from tiny import DESCRIPTION, DIGEST, tiny_reasoner
 
 from cognitivedrone.errors import ModelError, ReasonerError
 from cognitivedrone.models.attributes import AttributeSchema
@@ -334,15 +334,14 @@ def test_a_gate_selector_of_an_earlier_kind_is_refused_in_a_sentence(tmp_path):
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"pieces": ["a", 3]}, "contain an entry that is not a word"),
-        ({"pieces": ["a", "b"]}, "is no word-piece vocabulary"),
+        ({"words": "e" * 64}, "was trained with other word pieces"),
         ({"notes": {"concept/thing:cat": 5}}, "the notes in .* contain an entry that is not a text"),
         ({"notes": []}, "is not a dict"),
     ],
 )
 def test_a_description_that_does_not_fit_is_refused(tmp_path, changed, message):
     folder = files(tmp_path, (0, 5, 0, 0))
-    table = {"facets": ATTRIBUTES, "pieces": PIECES, "notes": {}, "provenance": DESCRIPTION.table()["provenance"]}
+    table = {"facets": ATTRIBUTES, "words": DIGEST, "notes": {}, "provenance": DESCRIPTION.table()["provenance"]}
     write_table(folder / "gate_selector.onnx", SELECTOR, {**table, **changed})
     with pytest.raises(ModelError, match=message):
         SmallReasoner(folder)

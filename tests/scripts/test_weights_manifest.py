@@ -22,6 +22,7 @@ def test_the_manifest_is_of_the_shipped_files():
         "race/eyes.onnx",
         "race/model.onnx",
         "text_encoder.onnx",
+        "word_pieces.onnx",
         *small,
     }
     for facts in files.values():

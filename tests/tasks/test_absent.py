@@ -202,6 +202,7 @@ def test_collecting_refuses_them(tmp_path: Path):
         ("Please go through the little blue gate!", ("small", "blue", None)),
         ("I want you to fly to the gate that is round and red", (None, "red", "round")),
         ("Request transit via the green portal, over", (None, "green", None)),
+        ("Fly over the red gate", None),
         ("Fly through the gate", None),
         ("Fly through the round one", None),
         ("Fly to the gate with the ring", None),

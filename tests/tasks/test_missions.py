@@ -31,7 +31,6 @@ def typed(name):
         ("through the dog twice, then land", ["Fly through the dog", "Fly through the dog", "Land on the pad"]),
         ("before you land on the red pad, fly through the trophy", ["Fly through the trophy", "Land on the red pad"]),
         ("after the cat, fly to the dog", ["Fly to the cat", "Fly to the dog"]),
-        ("you lazy robot, fly to the cat, then land", ["Fly to the cat", "Land on the pad"]),
         ("Go through the apple and land on the blue pad", ["Go through the apple", "Land on the blue pad"]),
     ],
 )  # fmt: skip
@@ -109,6 +108,15 @@ def test_a_condition_is_one_sub_goal_with_another_way():
 def test_a_colour_that_is_never_flown_through_holds_for_every_gate_but_no_pad():
     goals = sub_goals("First the dog, then the letter B, then land on the red pad, but never through red")
     assert [goal.avoid for goal in goals] == [{"red"}, {"red"}, frozenset()]
+
+
+@pytest.mark.parametrize("ban", ["you never enter red", "you must never use red", "You must avoid red gates"])
+def test_a_prohibition_that_is_told_to_somebody_holds(ban):
+    goals = sub_goals(f"{ban}, go to the cat, then the dog")
+    assert [(goal.instruction, goal.avoid) for goal in goals] == [
+        ("Go to the cat", {"red"}),
+        ("Fly to the dog", {"red"}),
+    ]
 
 
 @pytest.mark.parametrize(

@@ -85,12 +85,14 @@ def policy_checkpoint(tmp_path_factory: pytest.TempPathFactory, language_checkpo
     from quick_trainings import saved
 
     from cognitivedrone.models.words.text_encoder import FILE
+    from cognitivedrone.models.words.word_pieces import PIECES_FILE
     from cognitivedrone.training.launch import RECIPES
     from cognitivedrone.training.trainer.checkpoint import CHECKPOINT
     from cognitivedrone.training.trainer.training_task import Given
 
     def make(folder: Path) -> None:
-        shutil.copy(language_checkpoint.parent / FILE, folder)
+        for name in (FILE, PIECES_FILE):
+            shutil.copy(language_checkpoint.parent / name, folder)
         with small():
             saved(RECIPES["debug"].training(Given(start=language_checkpoint)), folder)
 
@@ -126,7 +128,7 @@ def reasoner_parts(tmp_path_factory: pytest.TempPathFactory, policy_file: Path) 
             patch.setattr(trainer, "PrefetchQueue", InProcess)
             patch.setitem(ALL_RECIPES, "selector", SMALL_SELECTOR)
             assert run(TrainPlan(out, "selector", start=policy_file)) == out / "gate_selector.onnx"
-        assert {path.name for path in out.glob("*.onnx")} == {"gate_selector.onnx"}
+        assert {path.name for path in out.glob("*.onnx")} == {"gate_selector.onnx", "word_pieces.onnx"}
         for name in ("eyes.onnx", "language.onnx", "text_encoder.onnx"):
             shutil.copy(policy_file.parent / name, out)
 

@@ -214,7 +214,7 @@ def test_the_gate_selector_in_onnx_answers_as_in_torch(
 ) -> None:
     calibrated = GateSelectorModel.load(reasoner_parts / "gate_selector.onnx")
     model = GateSelectorModel.load(export_selector(reasoner_parts / CHECKPOINT, tmp_path))
-    assert calibrated.tokenizer.pieces == model.tokenizer.pieces == training_task.pieces
+    assert calibrated.pieces.known == model.pieces.known == training_task.pieces
     assert model.notes == {}
     selector = trained_selector(read_start(reasoner_parts / CHECKPOINT, "selector"))
     problems = drawn(SELECTOR.mix.problems, 20)

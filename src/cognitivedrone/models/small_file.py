@@ -183,7 +183,7 @@ class SmallModel:
     @property
     def words(self) -> frozenset[str]:
         """The words that its text encoder knows whole; empty if it reads no sentences."""
-        pieces = () if self.mind is None else self.mind.encoder.tokenizer.pieces
+        pieces = () if self.mind is None else self.mind.encoder.pieces.known
         return frozenset(piece for piece in pieces if piece.isalpha())
 
     def fly(self, sight: Sight, states: NDArray[np.float32]) -> Flown:

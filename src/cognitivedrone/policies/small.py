@@ -25,6 +25,7 @@ from cognitivedrone.models.onnx_file import check_model_file, shares_of
 from cognitivedrone.models.small_file import MODEL_FILE, Flown, SmallModel
 from cognitivedrone.models.words.concepts import concepts_of
 from cognitivedrone.models.words.text_encoder import encoder_of
+from cognitivedrone.models.words.word_pieces import pieces_of
 from cognitivedrone.policies.avoidance import Avoidance
 from cognitivedrone.sim.drawing.views import FOCAL_PX, MOUNT
 from cognitivedrone.system import cores
@@ -153,7 +154,7 @@ class Small(Policy):
         head = packaged if path is None else Path(path)
         found = [head, head.with_name(EYES_FILE), *([eye_of(head)] if avoid else [])]
         if (language := head.with_name(LANGUAGE_FILE)).is_file():
-            found += [language, classifier_of(head), concepts_of(head), encoder_of(head)]
+            found += [language, classifier_of(head), concepts_of(head), encoder_of(head), pieces_of(head)]
         for file in found:
             check_model_file(file)  # a run hashes it before it is loaded
         return tuple(found)

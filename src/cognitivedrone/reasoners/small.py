@@ -30,6 +30,7 @@ from cognitivedrone.models.words.concepts import Concepts, concepts_of
 from cognitivedrone.models.words.scene_tokens import SceneText
 from cognitivedrone.models.words.selector_file import SELECTOR_FILE, GateSelectorModel
 from cognitivedrone.models.words.text_encoder import encoder_of
+from cognitivedrone.models.words.word_pieces import pieces_of
 from cognitivedrone.reasoners.scene_text import STAGES, ReadScene, SceneWriter, gate_of
 from cognitivedrone.tasks.directives import HOLD, looks_asked, write_directive
 from cognitivedrone.types import COLORS, EpisodeContext, Guidance, Image, SeenPanel
@@ -110,7 +111,7 @@ class SmallReasoner(Reasoner):
         """Every file that it answers by; raises `ModelError` if one is missing or too large."""
         place = _place_of(folder)
         eyes = place / EYES_FILE
-        beside = (concepts_of(eyes), classifier_of(eyes), encoder_of(eyes))
+        beside = (concepts_of(eyes), classifier_of(eyes), encoder_of(eyes), pieces_of(eyes))
         found = (eyes, place / SELECTOR_FILE, place / LANGUAGE_FILE, *beside)
         for file in found:
             check_model_file(file)  # a run hashes it before it is loaded

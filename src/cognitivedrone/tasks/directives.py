@@ -29,11 +29,12 @@ _AROUND = frozenset(
     re.findall(
         r"\w+",
         "fly go head pass move steer navigate aim take cross enter find please now drone i want you to would like could"
-        " can through via at for towards toward into the a an and that this which is coloured colored shaped over"
-        " request transit gate portal hoop",
+        " can through via at for towards toward into the a an and that this which is coloured colored shaped request"
+        " transit gate portal hoop",
     )
 )
 """Words of a directive that say nothing of the gate."""
+_ENDS = frozenset(("gate", "gates", "portal", "portals", "hoop", "hoops", "with"))
 HOLD = "Hold position"
 """The directive that declines: no gate matches the instruction, so none is to be flown through."""
 
@@ -56,7 +57,7 @@ def parse_directive(text: str) -> tuple[Size | None, Color | None, Shape | None]
     red gate with 9", are parsed as well.
     """
     words = re.findall(r"[a-z]+", text.lower())
-    stop = next((i for i, word in enumerate(words) if word in ("gate", "gates", "portal", "with")), len(words))
+    stop = next((i for i, word in enumerate(words) if word in _ENDS), len(words))
     size: Size | None = None
     color: Color | None = None
     shape: Shape | None = None
@@ -72,7 +73,7 @@ def looks_asked(text: str) -> tuple[Size | None, Color | None, Shape | None] | N
 
     Words that compare ("the smaller gate") and sentences with several colours, shapes or sizes are others.
     """
-    said = re.findall(r"[^\W_]+", text.lower())
+    said = re.findall(r"[^\W_]+", re.sub(r"\Wover\W*$", "", text.lower()))  # as said on the radio
     words = [word for word in said if word not in _AROUND]
     found = [next((kind for kind, known in enumerate(_LOOKS) if word in known), None) for word in words]
     if not words or {"gate", "portal", "hoop"}.isdisjoint(said) or None in found or len({*found}) < len(found):

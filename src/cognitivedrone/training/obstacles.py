@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, ClassVar, Final
@@ -202,13 +203,16 @@ class ObstacleTraining(TrainingTask):
         # Processes that make batches do without ONNX.
         from cognitivedrone.training.small_vla.export import provenance_of
         from cognitivedrone.training.small_vla.graph import write_model
+        from cognitivedrone.training.trainer.eight_bits import computing_in_eight_bits
 
         tensors, facts = read_checkpoint(checkpoint)
         network = self.network()
         restore(tensors, network, None)
         example = {"image": torch.zeros(2, 256, 256, 3, dtype=torch.uint8)}
         table, outputs = {"network": {"channels": list(self.recipe.channels)}}, ("occupied", "depth")
-        write_model(network, example, outputs, folder / EYE_FILE, EYE, table, provenance_of(facts), ObstacleEye.load)
+        images = next(iter(self.batches()((10**6,))))["image"]
+        write_model(network, example, outputs, folder / EYE_FILE, EYE, table, provenance_of(facts), ObstacleEye.load,
+                    smaller=partial(computing_in_eight_bits, images=images))  # fmt: skip
 
 
 class ObstacleLoss(nn.Module):

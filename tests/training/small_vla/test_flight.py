@@ -38,7 +38,7 @@ def test_only_flying_learns(policy_checkpoint: Path, tmp_path: Path, monkeypatch
     assert changed == {"finder", "flight"}
     # What is written of a policy is looked at in test_export; here it is for whom.
     written: list[tuple[str, Path]] = []
-    monkeypatch.setattr(export, "write_policy", lambda _, encoder, *others, **__: written.append((encoder, others[-1])))
+    monkeypatch.setattr(export, "write_policy", lambda _, encoder, *others, **__: written.append((encoder, others[2])))
     task.export(checkpoint, tmp_path)
     assert written == [(known.facts["encoder"], tmp_path / "model.onnx")]
     assert (tmp_path / FILE).read_bytes() == (policy_checkpoint.parent / FILE).read_bytes()

@@ -117,7 +117,7 @@ def test_language_says_that_the_reader_of_its_selector_is_gone(selector_checkpoi
 # ---- model files
 
 
-def test_a_model_file_has_the_weights_of_its_checkpoint_in_half_precision(
+def test_a_model_file_has_the_weights_of_its_checkpoint_but_for_rounding(
     policy_checkpoint: Path, policy_file: Path
 ) -> None:
     before, _ = load_trained(policy_checkpoint)
@@ -129,7 +129,9 @@ def test_a_model_file_has_the_weights_of_its_checkpoint_in_half_precision(
     for name, value in before.state_dict().items():
         if name.endswith("num_batches_tracked"):
             continue
-        if value.is_floating_point():
+        if value.ndim == 4:  # of seven bits
+            assert (state[name] - value).abs().max() <= 0.01 * value.abs().max(), name
+        elif value.is_floating_point():
             torch.testing.assert_close(state[name], value, rtol=1e-3, atol=1e-6, msg=name)
         else:
             assert torch.equal(state[name], value), name
@@ -142,7 +144,7 @@ def test_the_reader_of_a_model_file_is_a_start(policy_file: Path, reader_checkpo
     known = read_checkpoint(reader_checkpoint)[0]
     for name, value in network.reader.named_parameters():
         assert not value.requires_grad
-        torch.testing.assert_close(value, known[f"network.{name}"], rtol=1e-3, atol=1e-6)
+        assert (value - known[f"network.{name}"]).abs().max() <= 0.01 * value.abs().max() + 1e-6, name
     assert training.identity()["data"].startswith("from model.onnx, debug of 20")
 
 

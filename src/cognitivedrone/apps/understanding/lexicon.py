@@ -165,7 +165,7 @@ def _encoder() -> TextEncoderModel:
 
 def common(word: str) -> bool:
     """Whether a word is so frequent that it is no other one, misspelt."""
-    return word in _encoder().tokenizer.pieces[:_COMMON]  # the most frequent first
+    return word in _encoder().pieces.known[:_COMMON]  # the most frequent first
 
 
 def alike(words: Sequence[str], known: Sequence[str]) -> tuple[str, ...]:
@@ -175,7 +175,7 @@ def alike(words: Sequence[str], known: Sequence[str]) -> tuple[str, ...]:
     a name is counts by how near it is to words in general; for a word that means nothing to the encoder, none is.
     """
     encoder = _encoder()
-    whole = [piece for piece in encoder.tokenizer.pieces if piece.isascii() and piece.isalpha() and len(piece) > 3]
+    whole = [piece for piece in encoder.pieces.known if piece.isascii() and piece.isalpha() and len(piece) > 3]
     meanings, others = encoder.meanings(known), encoder.meanings(whole[::_BACKGROUND])
     (asked,) = encoder.meanings((" ".join(words),))
     usual = meanings @ others.T

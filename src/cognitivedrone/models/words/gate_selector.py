@@ -94,12 +94,14 @@ class GateSelector(nn.Module):
             nn.init.zeros_(layer.bias)
         nn.init.constant_(self.absent.bias, _SCALE / 2)
 
-    def forward(self, tokens: Tensor, positions: Tensor, parts: Tensor) -> Tensor:
+    def forward(self, tokens: Tensor, positions: Tensor, parts: Tensor, embedded: Tensor | None = None) -> Tensor:
         """Logits (B, 4) of the gates, and last that none of them is right; calibrated by `temperature`.
 
-        Inputs as `scene_tokens.stacked` gives them, int64.
+        Inputs as `scene_tokens.stacked` gives them, int64; `embedded` (B, L, W) are the tokens' word embeddings, where
+        they come from elsewhere.
         """
-        x = self.embedded(self.words(tokens) + self.places(positions) + self.parts(parts))
+        words = self.words(tokens) if embedded is None else embedded
+        x = self.embedded(words + self.places(positions) + self.parts(parts))
         x = F.dropout(x, self.config.dropout, self.training)
         there = (tokens != 0)[:, None, None]
         shared = parts[:, None, None] <= 1  # instruction and context

@@ -66,15 +66,19 @@ class TextEncoder(nn.Module):
         self.layers = nn.ModuleList([Layer(config) for _ in range(config.layers)])
         nn.init.normal_(self.parts.weight, std=0.02)
 
-    def forward(self, tokens: Tensor, positions: Tensor, parts: Tensor) -> Tensor:
-        """(n, L, W), from int64 (n, L) as `scene_tokens.stacked` gives them; zero where there is no token."""
-        x = self.embedded(self.words(tokens) + self.places(positions) + self.parts(parts))
+    def forward(self, tokens: Tensor, positions: Tensor, parts: Tensor, embedded: Tensor | None = None) -> Tensor:
+        """(n, L, W), from int64 (n, L) as `scene_tokens.stacked` gives them; zero where there is no token.
+
+        `embedded` (n, L, W) are the tokens' word embeddings, where they come from elsewhere.
+        """
+        words = self.words(tokens) if embedded is None else embedded
+        x = self.embedded(words + self.places(positions) + self.parts(parts))
         x = F.dropout(x, self.dropout, self.training)
         there = tokens != 0
         for layer in self.layers:
             x = layer(x, there[:, None, None])
-        words: Tensor = x * there[..., None].to(x.dtype)
-        return words
+        read: Tensor = x * there[..., None].to(x.dtype)
+        return read
 
 
 class Mixer(nn.Module):

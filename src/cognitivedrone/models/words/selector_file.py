@@ -1,8 +1,8 @@
 """The gate selector's file: an ONNX graph with a description.
 
-Contract of the graph; the batch is a dynamic axis: inputs as `scene_tokens.stacked` gives them, with any number of
-tokens; output `logits` float32 (batch, 4) of the gates and of none of them. The description holds the word pieces, and
-notes on taught concepts.
+Contract of the graph; the batch is a dynamic axis: inputs as `word_pieces` gives them, with any number of tokens;
+output `logits` float32 (batch, 4) of the gates and of none of them. The description holds the digest of the word
+pieces, and notes on taught concepts.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from cognitivedrone.errors import ModelError
 from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.eyes.sight import attributes_of
 from cognitivedrone.models.onnx_file import check_graph, field_of, numbers_of, open_model, shares_of
-from cognitivedrone.models.words.scene_tokens import INPUTS, SceneText, SceneTokenizer, stacked
+from cognitivedrone.models.words.scene_tokens import SceneText
+from cognitivedrone.models.words.word_pieces import WordPieces, inputs_of
 
 SELECTOR: Final = "gate-selector"
 SELECTOR_FILE: Final = "gate_selector.onnx"
 FORMER_SELECTORS: Final = {"small-reasoner-mind": "a gate selector of an earlier kind, which reads no scenes in words"}
-_ANY = 1
 
 Floats = NDArray[np.float32]
 
@@ -31,12 +31,10 @@ Floats = NDArray[np.float32]
 class GateSelectorModel:
     """Gate selector, run by ONNX Runtime on the CPU."""
 
-    def __init__(
-        self, session: Any, attributes: AttributeSchema, tokenizer: SceneTokenizer, notes: Mapping[str, str]
-    ) -> None:
+    def __init__(self, session: Any, attributes: AttributeSchema, pieces: WordPieces, notes: Mapping[str, str]) -> None:
         self._session = session
         self.attributes = attributes
-        self.tokenizer = tokenizer
+        self.pieces = pieces
         self.notes = notes
         """What was taught of concepts, by the names of their attribute values."""
 
@@ -45,24 +43,22 @@ class GateSelectorModel:
         """Load a file; raises `ModelError` where it is missing, broken or of another kind."""
         session, table = open_model(path, SELECTOR, threads=threads, optimise=True, former=FORMER_SELECTORS)
         where = str(path)
-        inputs = dict.fromkeys(INPUTS, ("tensor(int64)", (_ANY,)))
-        check_graph(session, inputs, {"logits": ("tensor(float)", (4,))}, where)
-        pieces, notes = field_of(table, "pieces", list, where), field_of(table, "notes", dict, where)
-        if not all(isinstance(piece, str) for piece in pieces):
-            raise ModelError(f"the word pieces in {where} contain an entry that is not a word")
+        pieces, notes = WordPieces.of(path, field_of(table, "words", str, where)), field_of(table, "notes", dict, where)
+        check_graph(session, inputs_of(pieces.size), {"logits": ("tensor(float)", (4,))}, where)
         if not all(isinstance(note, str) for note in notes.values()):
             raise ModelError(f"the notes in {where} contain an entry that is not a text")
-        tokenizer = SceneTokenizer(pieces, f"the list of word pieces in {where}")
-        return cls(session, attributes_of(table, where), tokenizer, notes)
+        return cls(session, attributes_of(table, where), pieces, notes)
 
     def choose(self, text: SceneText) -> Floats:
         """Probabilities (4,) of the gates and of none of them."""
-        shares: Floats = shares_of(self.logits(stacked([self.tokenizer.encode(text.parts)])))[0]
+        shares: Floats = shares_of(self._run(self.pieces.encode([text.parts])))[0]
         return shares
 
     def logits(self, batch: Mapping[str, NDArray[Any]]) -> Floats:
         """(B, 4), for a batch of `scene_tokens.stacked`."""
-        inputs = {name: batch[name] for name in INPUTS}
+        return self._run(self.pieces.inputs(batch))
+
+    def _run(self, inputs: Mapping[str, NDArray[Any]]) -> Floats:
         (logits,) = numbers_of(self._session, ("logits",), inputs, "the gate selector")
         found: Floats = logits
         return found

@@ -1,9 +1,9 @@
 """The text encoder that policies share: an instruction in, the meaning of each of its tokens in context out.
 
 It runs once for an instruction, not once for a frame. Contract of its graph; the batch is a dynamic axis, L the number
-of tokens, W the width: inputs `tokens`, `positions`, `parts` int64 (batch, L); output `words` float32 (batch, L, W),
-zero where there is no token. The description holds the word pieces, and the digest by which a policy names the encoder
-that it was trained with. The network is `models.words.language.TextEncoder`.
+of tokens, W the width: inputs as `word_pieces` gives them; output `words` float32 (batch, L, W), zero where there is no
+token. The description holds the digest of the word pieces, and the one by which a policy names the encoder that it was
+trained with. The network is `models.words.language.TextEncoder`.
 
 Words of a sentence, and the numbers that words name.
 """
@@ -22,10 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cognitivedrone.errors import ModelError
-from cognitivedrone.models.onnx_file import beside, check_graph, count_of, field_of, numbers_of, open_model, shared
+from cognitivedrone.models.onnx_file import beside, check_graph, field_of, numbers_of, open_model, shared
 from cognitivedrone.models.words.calculator import calculate
 from cognitivedrone.models.words.running_total import told
-from cognitivedrone.models.words.scene_tokens import INPUTS, SceneTokenizer, number_text, stacked
+from cognitivedrone.models.words.scene_tokens import number_text
+from cognitivedrone.models.words.word_pieces import WordPieces, inputs_of
 
 _POSSESSIVE = re.compile(r"(?<=[a-z])'s\b")
 _TOKEN = re.compile(r"[0-9]+|[a-z]+|[^\sa-z0-9]")
@@ -69,11 +70,11 @@ def parts_of(instruction: str) -> tuple[str, ...]:
 class TextEncoderModel:
     """The text encoder, run by ONNX Runtime on the CPU."""
 
-    def __init__(self, session: Any, tokenizer: SceneTokenizer, digest: str, size: int) -> None:
+    def __init__(self, session: Any, pieces: WordPieces, digest: str) -> None:
         self._session = session
-        self.tokenizer = tokenizer
+        self.pieces = pieces
         self.digest = digest
-        self.size = size
+        self.size = pieces.size
         """The width W."""
         self._known: OrderedDict[str, Floats] = OrderedDict()
 
@@ -83,13 +84,9 @@ class TextEncoderModel:
         path = path or packaged_encoder()
         session, table = open_model(path, TEXT_ENCODER, threads=threads, optimise=True)
         where = str(path)
-        outputs = {"words": ("tensor(float)", (_ANY, count_of(table, "size", where)))}
-        check_graph(session, dict.fromkeys(INPUTS, ("tensor(int64)", (_ANY,))), outputs, where)
-        pieces = field_of(table, "pieces", list, where)
-        if not all(isinstance(piece, str) for piece in pieces):
-            raise ModelError(f"the word pieces in {where} contain an entry that is not a word")
-        tokenizer = SceneTokenizer(pieces, f"the list of word pieces in {where}")
-        return cls(session, tokenizer, field_of(table, "digest", str, where), table["size"])
+        pieces = WordPieces.of(path, field_of(table, "words", str, where))
+        check_graph(session, inputs_of(pieces.size), {"words": ("tensor(float)", (_ANY, pieces.size))}, where)
+        return cls(session, pieces, field_of(table, "digest", str, where))
 
     @classmethod
     def of_digest(cls, digest: str, model: Path, *, threads: int = 1) -> TextEncoderModel:
@@ -115,8 +112,8 @@ class TextEncoderModel:
 
     def batch(self, instructions: Sequence[str]) -> Floats:
         """(n, L, W) of n instructions, padded with zeros to the longest."""
-        tokens = stacked([self.tokenizer.encode(parts_of(text)) for text in instructions])
-        (words,) = numbers_of(self._session, ("words",), tokens, "the text encoder")
+        inputs = self.pieces.encode([parts_of(text) for text in instructions])
+        (words,) = numbers_of(self._session, ("words",), inputs, "the text encoder")
         found: Floats = words
         return found
 

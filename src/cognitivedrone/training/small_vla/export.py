@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from cognitivedrone import checkout
@@ -28,6 +29,7 @@ from cognitivedrone.models.words.concepts import CONCEPTS_FILE
 from cognitivedrone.models.words.gate_selector import SelectorConfig
 from cognitivedrone.models.words.language import LanguageConfig
 from cognitivedrone.models.words.text_encoder import FILE, packaged_encoder
+from cognitivedrone.models.words.word_pieces import PIECES_FILE
 from cognitivedrone.policies.expert import ExpertConfig
 from cognitivedrone.training.small_vla.concepts import write_concepts
 from cognitivedrone.training.small_vla.graph import write_encoder, write_eyes, write_language, write_onnx
@@ -55,6 +57,7 @@ def trained(start: StartingPoint) -> SmallVLA:
 
 
 _STATISTICS_FRAMES = 2_000
+_SHOWN_FRAMES = 100
 _STATISTICS_SEED = (0, 10**6 + 1)
 
 
@@ -65,17 +68,19 @@ def export(checkpoint: Path, out: Path, *, data: Path | None = None, encoder: Pa
     not the packaged one. Raises `TrainingError` for a bad checkpoint.
     """
     network, start = load_trained(checkpoint)
-    action = action_statistics(network, stream_of(start.facts), encoder, data)
+    stream = stream_of(start.facts)
+    action = action_statistics(network, stream, encoder, data)
     copy_encoder(encoder, out.parent)
-    return write_policy(network, start.facts["encoder"], action, provenance_of(start.facts), out)
+    images = shown(stream, data)
+    return write_policy(network, start.facts["encoder"], action, provenance_of(start.facts), out, images)
 
 
 def copy_encoder(encoder: Path | None, folder: Path) -> None:
-    """Put the text encoder and the concepts that it read beside a policy's file, if it is not the packaged one or there
-    already.
+    """Put the text encoder, its word pieces and the concepts that it read beside a policy's file, if it is not the
+    packaged one or there already.
     """
     if encoder is not None and encoder.resolve() not in (packaged_encoder().resolve(), (folder / FILE).resolve()):
-        for path in (encoder, encoder.with_name(CONCEPTS_FILE)):
+        for path in (encoder, encoder.with_name(PIECES_FILE), encoder.with_name(CONCEPTS_FILE)):
             if path.is_file():
                 replace_file(folder / path.name, read_regular(path, LARGEST_BYTES))
 
@@ -86,11 +91,12 @@ def write_policy(
     action: ActionStatistics,
     provenance: Provenance,
     out: Path,
+    images: NDArray[Any],
     *,
     classifier: bool = True,
 ) -> Description:
-    """Write the files of a policy that was trained with the text encoder of a digest: eyes, language, and its head, to
-    `out`; returns its description.
+    """Write the files of a policy that was trained with the text encoder of a digest: eyes, by `images` as `shown`,
+    language, and its head, to `out`; returns its description.
 
     `classifier` says whether it shall ask the picture classifier.
     """
@@ -104,7 +110,7 @@ def write_policy(
         attributes=network.schema.names,
         provenance=provenance,
     )
-    write_eyes(network, provenance, out.parent, classifier=classifier)
+    write_eyes(network, provenance, out.parent, images, classifier=classifier)
     if network.language is not None:
         write_language(network.language, network.schema, encoder, provenance, out.parent)
     width = network.config.backbone[2]
@@ -153,9 +159,7 @@ def action_statistics(
     network: SmallVLA, stream: StreamRecipe, encoder: Path | None, data: Path | None = None
 ) -> ActionStatistics:
     """The distribution of the actions in a stream or a data set, and the network's output range."""
-    recipe = replace(stream, batch=100, sentences=1, learner=0.0)
-    made = training_batches(recipe, encoder, data)(_STATISTICS_SEED)
-    taken = list(islice(made, _STATISTICS_FRAMES // recipe.batch))
+    taken = _drawn(stream, encoder, data, _STATISTICS_FRAMES)
     actions = np.concatenate([batch["action"][batch["valid"]][:, 0] for batch in taken]).astype(np.float64)
 
     def four(values: Any) -> tuple[float, float, float, float]:
@@ -170,6 +174,19 @@ def action_statistics(
         q01=four(np.quantile(actions, 0.01, axis=0)),
         q99=four(np.quantile(actions, 0.99, axis=0)),
     )
+
+
+def shown(stream: StreamRecipe, data: Path | None = None) -> NDArray[Any]:
+    """Frames (100, 256, 256, 3) of a stream or a data set, by whose ranges the numbers of eyes are rounded."""
+    (batch,) = _drawn(stream, None, data, _SHOWN_FRAMES)
+    images: NDArray[Any] = batch["image"]
+    return images
+
+
+def _drawn(stream: StreamRecipe, encoder: Path | None, data: Path | None, frames: int) -> list[Batch]:
+    recipe = replace(stream, batch=100, sentences=1, learner=0.0)
+    made = training_batches(recipe, encoder, data)(_STATISTICS_SEED)
+    return list(islice(made, frames // recipe.batch))
 
 
 def export_language(checkpoint: Path, folder: Path, temperature: Callable[[Callable[[Batch], Tensor]], float]) -> None:

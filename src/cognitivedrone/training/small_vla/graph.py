@@ -9,12 +9,13 @@ import logging
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import onnx
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from cognitivedrone.files import replacing
@@ -24,12 +25,12 @@ from cognitivedrone.models.eyes.sight import EYES, EYES_FILE, EyesModel
 from cognitivedrone.models.mind import LANGUAGE, LANGUAGE_FILE, Mind
 from cognitivedrone.models.onnx_file import Provenance, write_table
 from cognitivedrone.models.small_vla import Eyes, SmallVLA
+from cognitivedrone.models.words.gate_selector import GateSelector
 from cognitivedrone.models.words.language import PARTS, Language, TextEncoder
 from cognitivedrone.models.words.scene_tokens import INPUTS, LENGTHS
 from cognitivedrone.models.words.text_encoder import FILE, TEXT_ENCODER, TextEncoderModel
-
-_HALVED_FROM = 256  # elements; smaller tensors are biases, scales and shapes
-_ROUNDED_FROM = 4096  # elements; smaller matrices stay as they are
+from cognitivedrone.models.words.word_pieces import EMBEDDED, PIECES_FILE, WORD_PIECES, WordPieces, pieces_of
+from cognitivedrone.training.trainer.eight_bits import computing_in_eight_bits, in_eight_bits, in_half_precision
 
 
 def write_onnx(
@@ -63,8 +64,11 @@ def write_onnx(
             optimize=False,  # keeps every weight under its own name, so that a training run can start from the file
         )
     model = onnx.load(str(path))
+    read = {name for node in model.graph.node for name in node.input}
+    for tensor in [tensor for tensor in model.graph.initializer if tensor.name not in read]:
+        model.graph.initializer.remove(tensor)
     cast_to_known_types(model)
-    (smaller or _halve)(model)
+    (smaller or in_half_precision)(model)
     _forget_the_making(model)
     onnx.save(model, str(path))
 
@@ -86,44 +90,6 @@ def cast_to_known_types(model: Any) -> None:
             del node.input[1:]
 
 
-def _halve(model: Any) -> None:
-    """Store large single-precision weights in half precision; the runtime converts them once, on loading."""
-    graph = model.graph
-    casts = []
-    for tensor in graph.initializer:
-        if tensor.data_type != onnx.TensorProto.FLOAT or np.prod(tensor.dims) < _HALVED_FROM:
-            continue
-        name = tensor.name
-        half = onnx.numpy_helper.from_array(onnx.numpy_helper.to_array(tensor).astype(np.float16), f"{name}.half")
-        tensor.CopyFrom(half)
-        casts.append(onnx.helper.make_node("Cast", [f"{name}.half"], [name], to=onnx.TensorProto.FLOAT))
-    for cast in reversed(casts):
-        graph.node.insert(0, cast)
-
-
-def in_eight_bits(model: Any) -> None:
-    """Store large matrices as integers of eight bits and a scale for each row, as symmetric as the weights are.
-
-    The runtime turns them into single precision once, on loading; so only the weights are rounded, by 0.4 % of the
-    largest of their row at most.
-    """
-    graph, nodes = model.graph, []
-    for tensor in list(graph.initializer):
-        if tensor.data_type != onnx.TensorProto.FLOAT or len(tensor.dims) != 2 or np.prod(tensor.dims) < _ROUNDED_FROM:
-            continue
-        name, values = tensor.name, onnx.numpy_helper.to_array(tensor)
-        scale = np.maximum(np.abs(values).max(axis=1, keepdims=True) / 127, 1e-12).astype(np.float32)
-        rounded = np.rint(values / scale).astype(np.int8)
-        tensor.CopyFrom(onnx.numpy_helper.from_array(rounded, f"{name}.eight"))
-        graph.initializer.append(onnx.numpy_helper.from_array(scale, f"{name}.scale"))
-        nodes += [
-            onnx.helper.make_node("Cast", [f"{name}.eight"], [f"{name}.cast"], to=onnx.TensorProto.FLOAT),
-            onnx.helper.make_node("Mul", [f"{name}.cast", f"{name}.scale"], [name]),
-        ]
-    for node in reversed(nodes):
-        graph.node.insert(0, node)
-
-
 def _forget_the_making(model: Any) -> None:
     """Remove the source locations of the traced parts: they are useless in flight, and contain names of folders."""
     graph = model.graph
@@ -134,29 +100,79 @@ def _forget_the_making(model: Any) -> None:
     graph.ClearField("value_info")
 
 
-def write_encoder(encoder: TextEncoder, pieces: list[str], provenance: Provenance, folder: Path) -> str:
+def write_encoder(encoder: TextEncoder, pieces: Sequence[str], provenance: Provenance, folder: Path) -> str:
     """Write a text encoder, weights of eight bits, to `folder`; returns its digest."""
     digest = hashlib.sha256()
     for name, tensor in encoder.state_dict().items():
         digest.update(name.encode() + tensor.cpu().numpy().tobytes())
-    example = {name: torch.ones(2, 20, dtype=torch.int64) for name in INPUTS}
+    words = write_pieces(encoder.words, pieces, provenance, folder)
+    table = {"words": words, "digest": digest.hexdigest()}
     length = torch.export.Dim("length", min=1, max=sum(LENGTHS[:PARTS]))
-    table = {"pieces": list(pieces), "digest": digest.hexdigest(), "size": encoder.places.embedding_dim}
-    write_model(
-        encoder, example, ("words",), folder / FILE, TEXT_ENCODER, table, provenance, TextEncoderModel.load,
-        second=dict.fromkeys(INPUTS, length), smaller=in_eight_bits,
-    )  # fmt: skip
+    write_reader(encoder, ("words",), folder / FILE, TEXT_ENCODER, table, provenance, TextEncoderModel.load, length)
     return digest.hexdigest()
 
 
-def write_eyes(network: SmallVLA, provenance: Provenance, folder: Path, *, classifier: bool) -> None:
-    """Write the eyes of a policy to `folder`; `classifier` says whether the picture classifier shall be asked, too."""
+def write_pieces(words: nn.Embedding, pieces: Sequence[str], provenance: Provenance, folder: Path) -> str:
+    """Write word pieces, in eight bits, to `folder`, unless they are the packaged ones; returns a digest."""
+    values = words.weight.detach().cpu()
+    scale = (values.abs().amax(dim=1, keepdim=True) / 127).clamp(min=1e-12)
+    table = _Table((values / scale).round().to(torch.int8), scale)
+    digest = hashlib.sha256(table.eight.numpy().tobytes() + scale.numpy().tobytes()).hexdigest()
+    path = folder / PIECES_FILE
+    if path.is_file() or WordPieces.load(pieces_of(path)).digest != digest:
+        facts = {"pieces": list(pieces), "digest": digest, "size": values.shape[1]}
+        length = torch.export.Dim("length", min=1, max=sum(LENGTHS))
+        write_model(table, {"tokens": torch.ones(2, 20, dtype=torch.int64)}, (EMBEDDED,), path, WORD_PIECES, facts,
+                    provenance, WordPieces.load, second={"tokens": length}, smaller=lambda _: None)  # fmt: skip
+    return digest
+
+
+class _Table(nn.Module):
+    """From tokens (B, L) to rows (B, L, W) of a table of eight bits."""
+
+    def __init__(self, eight: Tensor, scale: Tensor) -> None:
+        super().__init__()
+        self.eight: Tensor
+        self.scale: Tensor
+        self.register_buffer("eight", eight)
+        self.register_buffer("scale", scale)
+
+    def forward(self, tokens: Tensor) -> Tensor:
+        return self.eight[tokens].float() * self.scale[tokens]
+
+
+def write_reader(
+    network: TextEncoder | GateSelector,
+    outputs: tuple[str, ...],
+    path: Path,
+    kind: str,
+    table: Mapping[str, Any],
+    provenance: Provenance,
+    load: Callable[[Path], object],
+    length: Any,
+    smaller: Callable[[Any], None] = in_eight_bits,
+) -> None:
+    """Write a network that is given tokens of this `length` and their embeddings, weights of eight bits."""
+    # Three tensors: one that is given three times would be taken for one input.
+    example = {name: torch.ones(2, 20, dtype=torch.int64) for name in INPUTS}
+    example[EMBEDDED] = torch.zeros(2, 20, network.words.embedding_dim)
+    write_model(network, example, outputs, path, kind, table, provenance, load,
+                second=dict.fromkeys(example, length), smaller=smaller)  # fmt: skip
+
+
+def write_eyes(
+    network: SmallVLA, provenance: Provenance, folder: Path, images: NDArray[Any], *, classifier: bool
+) -> None:
+    """Write the eyes of a policy to `folder`, rounded by what they make of `images` (n, 256, 256, 3); `classifier` says
+    whether the picture classifier shall be asked, too.
+    """
     reads = network.reader is not None
     outputs = ("gates", "slots", "whole", *(("readings", "boxes") if reads else ()))
     table: dict[str, Any] = {"facets": list(network.schema.names) if reads else [], "width": network.config.backbone[2]}
     example = {"image": torch.zeros(2, 256, 256, 3, dtype=torch.uint8)}
     table["classifier"] = classifier and reads
-    write_model(Eyes(network), example, outputs, folder / EYES_FILE, EYES, table, provenance, EyesModel.load)
+    write_model(Eyes(network), example, outputs, folder / EYES_FILE, EYES, table, provenance, EyesModel.load,
+                smaller=partial(computing_in_eight_bits, images=images))  # fmt: skip
 
 
 def write_language(

@@ -28,6 +28,7 @@ from cognitivedrone.training.reasoner.reader import ReaderLoss
 from cognitivedrone.training.reasoner.selector_files import packaged_selector
 from cognitivedrone.training.small_vla.export import trained
 from cognitivedrone.training.small_vla.language import scenes, spoken, text_loss
+from cognitivedrone.training.small_vla.sampling import StreamRecipe
 from cognitivedrone.training.teach.lesson import Lesson, read_lesson
 from cognitivedrone.training.teach.practice import LessonCrops, LessonProblems
 from cognitivedrone.training.trainer.start import StartingPoint, read_start
@@ -223,7 +224,7 @@ class TeachTraining(TrainingTask):
         """The files of policy and gate selector."""
         from cognitivedrone.models.small_file import statistics_of
         from cognitivedrone.training.reasoner.selector_files import write_taught_selector
-        from cognitivedrone.training.small_vla.export import copy_encoder, provenance_of, write_policy
+        from cognitivedrone.training.small_vla.export import copy_encoder, provenance_of, shown, write_policy
         from cognitivedrone.training.trainer.checkpoint import read_checkpoint, restore
 
         tensors, facts = read_checkpoint(checkpoint)
@@ -235,7 +236,8 @@ class TeachTraining(TrainingTask):
         encoder = self.policy.facts["encoder"]
         copy_encoder(encoder_of(self.policy.path), folder)
         # The picture classifier is not asked: the reader knows the user's own photographs now.
-        write_policy(policy, encoder, action, provenance, folder / self.recipe.model_file, classifier=False)
+        path, images = folder / self.recipe.model_file, shown(StreamRecipe())
+        write_policy(policy, encoder, action, provenance, path, images, classifier=False)
         write_taught_selector(self.selector, self.names, self.lesson.notes(), folder)
 
 

@@ -136,14 +136,14 @@ def _weights_of_model(path: Path) -> dict[str, Tensor]:
     """The weights in the ONNX files of a policy, in single precision."""
     import onnx
 
-    found = {}
+    from cognitivedrone.training.trainer.eight_bits import weights_in
+
+    found: dict[str, Tensor] = {}
     for file in (path, path.with_name(EYES_FILE), path.with_name(LANGUAGE_FILE)):
-        model = onnx.load_model_from_string(read_regular(file, LARGEST_BYTES)) if file.is_file() else None
-        for tensor in () if model is None else model.graph.initializer:
-            value = torch.from_numpy(onnx.numpy_helper.to_array(tensor).copy())
-            name = tensor.name.removesuffix(".half")
-            found[name] = value.float() if value.is_floating_point() else value
-    return found
+        if file.is_file():
+            weights = weights_in(onnx.load_model_from_string(read_regular(file, LARGEST_BYTES)))
+            found |= {name: torch.from_numpy(values.copy()) for name, values in weights.items()}
+    return {name: value.float() if value.is_floating_point() else value for name, value in found.items()}
 
 
 def _facts_of_model(path: Path) -> dict[str, Any]:
