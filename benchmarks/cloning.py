@@ -11,6 +11,7 @@ the expert's actions by their likelihood, as `imitation.algorithms.bc` does. The
 
 from __future__ import annotations
 
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,11 +91,14 @@ class Cloned(Policy):
         """The likeliest action, (1, 4)."""
         with torch.inference_mode():
             given = seen([observation.image], [observation.instruction], state_of(observation)[None])
-            action: ActionChunk = self._network._predict(given, deterministic=True).numpy()
+            action: ActionChunk = self._network.get_distribution(given).mode().numpy()
         return action
 
 
 def main(config: Config) -> None:
+    """Train, and print the loss; a file that is there already stays."""
+    if config.out.exists():
+        sys.exit(f"{config.out} is there already; give another --out")
     torch.manual_seed(config.seed)
     rng, store, learner = np.random.default_rng(config.seed), Store.open(config.store), network()
     numbers = store.step_numbers("train")
@@ -109,7 +113,7 @@ def main(config: Config) -> None:
         loss.backward()
         learner.optimizer.step()
         losses.append(loss.item())
-        if step % 200 == 0:
+        if step in (1, 20) or step % 200 == 0:
             minutes = (time.monotonic() - began) / 60
             print(f"{step:6} steps, {minutes:5.1f} min: loss {np.mean(losses[-200:]):.3f}", flush=True)
     save_model(learner, str(config.out))
