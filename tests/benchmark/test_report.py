@@ -66,16 +66,23 @@ def flown(plan):
 
 
 @pytest.fixture(scope="module")
-def pieces(plan, flown):
-    """Results, traces and three clips."""
-    results = run(plan, progress=False, runner=RUNNER)
+def results(plan):
+    return run(plan, progress=False, runner=RUNNER)
+
+
+@pytest.fixture(scope="module")
+def traces(flown):
+    return [one.trace for one in flown]
+
+
+@pytest.fixture(scope="module")
+def clips(plan, flown):
+    """Three."""
     tracks = suite_of(plan.scenario, plan.episodes).tracks
-    clips = [make_clip(one, tracks[one.result.episode], one.result) for one in flown[:3]]
-    return results, [one.trace for one in flown], clips
+    return [make_clip(one, tracks[one.result.episode], one.result) for one in flown[:3]]
 
 
-def test_the_page_is_whole_loads_nothing_and_is_the_same_each_time(pieces):
-    results, traces, clips = pieces
+def test_the_page_is_whole_loads_nothing_and_is_the_same_each_time(results, traces, clips):
     text = render_report(results, traces, clips)
     assert text == render_report(results, traces, clips)
     page = Page(text)
@@ -87,8 +94,7 @@ def test_the_page_is_whole_loads_nothing_and_is_the_same_each_time(pieces):
     assert results.run.suite.digest in text
 
 
-def test_confusions_are_shown_where_something_failed(pieces):
-    results, traces, clips = pieces
+def test_confusions_are_shown_where_something_failed(results, traces, clips):
     summary = results.summary()
     text = render_report(results, traces, clips)
     table = text_of(results_table(results), 100)
@@ -107,8 +113,7 @@ def test_confusions_are_shown_where_something_failed(pieces):
         assert re.findall(r">(\d+)<", row_shown) == [str(count) for count in row if count]
 
 
-def test_the_outcomes_that_are_shown_are_reported(pieces):
-    results, traces, clips = pieces
+def test_the_outcomes_that_are_shown_are_reported(results, traces, clips):
     text = html.unescape(render_report(results, traces, clips))
     shown = re.search(r'<p class="soft outcomes">(.*?)</p>', text).group(1)
     seen = {outcome for outcome, count in results.summary().overall.outcomes.items() if count}
@@ -134,8 +139,7 @@ def table_rows(text):
     return [[re.sub("<.*?>", "  ", cell).strip() for cell in re.findall(r"<td.*?</td>", row)] for row in rows[1:]]
 
 
-def test_where_nothing_failed_a_category_is_one_row_without_a_bar(pieces):
-    results, traces, clips = pieces
+def test_where_nothing_failed_a_category_is_one_row_without_a_bar(results, traces, clips):
     results = without_failures(results)
     text = render_report(results, traces, clips)
     rows = table_rows(text)
@@ -149,8 +153,7 @@ def test_where_nothing_failed_a_category_is_one_row_without_a_bar(pieces):
     assert "endings" not in text_of(results_table(results))
 
 
-def test_families_that_passed_everything_share_a_row(pieces):
-    results, traces, clips = pieces
+def test_families_that_passed_everything_share_a_row(results, traces, clips):
     families = results.summary().families
     perfect = {family for family, score in families.items() if score.passed == score.n}
     assert perfect
@@ -176,8 +179,7 @@ def test_clips_stand_below_the_scores_failures_first_and_loop(config):
         assert {"loop", "muted", "autoplay", "playsinline"} <= set(tag.split())
 
 
-def test_the_instruction_of_every_failure_is_reported(plan, pieces):
-    results, *_ = pieces
+def test_the_instruction_of_every_failure_is_reported(plan, results):
     listed = (plan.out / "report.html").read_text().partition("Every stage not passed")[2].partition("</table>")[0]
     tracks = suite_of(plan.scenario, plan.episodes).tracks
     failed = [e.episode for e in results.episodes if e.stages[0].outcome != "passed"]
@@ -186,8 +188,7 @@ def test_the_instruction_of_every_failure_is_reported(plan, pieces):
         assert tracks[episode][0].instruction in html.unescape(listed)
 
 
-def test_the_paper_stands_beside_shipped_suites_alone(pieces):
-    results, traces, clips = pieces
+def test_the_paper_stands_beside_shipped_suites_alone(results, traces, clips):
     assert "77.2 %" not in render_report(results, traces, clips)
     results = replace(results, run=replace(results.run, suite=replace(results.run.suite, name="open-v1:test")))
     text = render_report(results, traces, clips).partition("Compared with the paper")[2]
@@ -197,8 +198,7 @@ def test_the_paper_stands_beside_shipped_suites_alone(pieces):
     assert "77.2 %" not in render_report(own, traces, clips)
 
 
-def test_what_a_rerun_needs_is_reported(pieces):
-    results, traces, clips = pieces
+def test_what_a_rerun_needs_is_reported(results, traces, clips):
     facts = {
         "command": "PYTHONPATH='my code' cognitivedrone bench --policy mine:Mine",
         "commit": "0123abcd-dirty",
@@ -213,8 +213,7 @@ def test_what_a_rerun_needs_is_reported(pieces):
     assert "not run from a git checkout" in render_report(replace(results, platform=old), traces, clips)
 
 
-def test_every_text_of_a_task_or_a_user_is_escaped(pieces):
-    results, traces, clips = pieces
+def test_every_text_of_a_task_or_a_user_is_escaped(results, traces, clips):
     bad = "<script>alert('x')</script>"
     stage = replace(clips[0].result.stages[0], directive=bad, task_id=bad, family=bad)
     task = replace(clips[0].track[0], instruction=bad, options=(bad, bad, bad), family=bad)
@@ -233,8 +232,7 @@ def test_every_text_of_a_task_or_a_user_is_escaped(pieces):
     Page(text)
 
 
-def test_a_run_of_nothing_but_invalid_stages_has_a_page(pieces):
-    results, traces, _ = pieces
+def test_a_run_of_nothing_but_invalid_stages_has_a_page(results, traces, clips):
     episodes = tuple(
         replace(e, stages=tuple(replace(s, outcome="invalid", path_m=float("nan")) for s in e.stages))
         for e in results.episodes
@@ -245,8 +243,7 @@ def test_a_run_of_nothing_but_invalid_stages_has_a_page(pieces):
     assert "nan" not in re.sub(r"<style>.*?</style>", "", text, flags=re.DOTALL).lower().replace("json", "")
 
 
-def test_films_that_do_not_fit_are_left_out_and_reported(pieces, monkeypatch):
-    results, traces, clips = pieces
+def test_films_that_do_not_fit_are_left_out_and_reported(results, traces, clips, monkeypatch):
     monkeypatch.setattr(report, "CLIP_BUDGET", len(clips[0].video) + len(clips[0].poster) + 1)
     text = render_report(results, traces, clips)
     assert Page(text).tags.count("video") == 1

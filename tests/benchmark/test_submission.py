@@ -4,7 +4,9 @@ import html
 import json
 import math
 import re
+import shutil
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -51,6 +53,12 @@ def file(smoke_run, tmp_path):
     path = tmp_path / "leaderboard" / "mine.json"
     write_submission(path, submission_of([smoke_run], "Mine", "Us"))
     return path
+
+
+def edit(file: Path, change: Callable[[Any], object]) -> None:
+    document = json.loads(file.read_text())
+    change(document)
+    file.write_text(json.dumps(document))
 
 
 def test_a_submission_holds_the_run_and_is_read_back(smoke_run, file):
@@ -100,9 +108,7 @@ def test_a_submission_holds_the_run_and_is_read_back(smoke_run, file):
     ],
 )
 def test_tampering_is_found(file, change, message):
-    document = json.loads(file.read_text())
-    change(document["runs"][0])
-    file.write_text(json.dumps(document))
+    edit(file, lambda document: change(document["runs"][0]))
     with pytest.raises(RunError, match=message):
         read_submission(file)
 
@@ -110,9 +116,7 @@ def test_tampering_is_found(file, change, message):
 @pytest.mark.parametrize("text", ["", " ", "x" * 61, "a\nb", "a\x1b[2J", "a\ud800", "a\u202eb", "a\u200bb"])
 @pytest.mark.parametrize("key", ["name", "by"])
 def test_a_name_is_checked_when_it_is_read(file, key, text):
-    document = json.loads(file.read_text())
-    document[key] = text
-    file.write_text(json.dumps(document))
+    edit(file, lambda document: document.update({key: text}))
     with pytest.raises(RunError, match="must have 1 to 60 printable characters") as error:
         read_submission(file)
     assert not unprintable(str(error.value))
@@ -127,9 +131,7 @@ def test_a_name_is_checked_when_it_is_read(file, key, text):
     ],
 )  # fmt: skip
 def test_an_address_is_a_plain_one_of_the_web(file, url):
-    document = json.loads(file.read_text())
-    document["url"] = url
-    file.write_text(json.dumps(document))
+    edit(file, lambda document: document.update(url=url))
     with pytest.raises(RunError, match="must be a web address"):
         read_submission(file)
 
@@ -160,13 +162,12 @@ def test_the_runs_of_a_file_are_one_pilot_s_and_each_is_there_once(file):
 
 
 def test_episodes_of_another_order_are_not_submitted(smoke_run, tmp_path):
-    document = json.loads((smoke_run / "results.json").read_text())
-    document["episodes"][1]["stages"], document["episodes"][2]["stages"] = (
-        document["episodes"][2]["stages"],
-        document["episodes"][1]["stages"],
-    )
-    changed = tmp_path / "results.json"
-    changed.write_text(json.dumps(document))
+    def swap(document):
+        _, one, other, *_ = document["episodes"]
+        one["stages"], other["stages"] = other["stages"], one["stages"]
+
+    changed = Path(shutil.copy(smoke_run / "results.json", tmp_path))
+    edit(changed, swap)
     with pytest.raises(RunError, match=r"not those of the suite, in order|does not follow"):
         submission_of([changed], "Mine", "Us")
 
@@ -318,35 +319,29 @@ def test_a_pilot_that_does_not_repeat_its_flights_is_compared_by_passes(file, di
     assert checked.verdict == "confirmed"  # it passes as seldom as it said
 
 
-def test_what_a_file_names_is_not_run_and_not_opened(file, tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize(
+    ("names", "options", "says"),
+    [
+        *((names, {}, "which must not choose the code, files or servers that are used") for names in (
+            {"policy": "os:system:touch imported"}, {"policy": "owned:Dive"}, {"policy": "remote:ws://127.0.0.1:9"},
+            {"policy": "small:/etc/passwd"}, {"reasoner": "replay:/etc/passwd"},
+            {"reasoner": "os:system:touch imported"}, {"reasoner": "vlm:http://127.0.0.1:9/v1"},
+        )),
+        ({}, {"latency": "policy=/etc/passwd"}, "depends on a file, which is not read here"),
+        ({}, {"link": "gazebo"}, "only the simulator is verified"),
+        ({}, {"link": "mavlink:udp:127.0.0.1:14550"}, "only the simulator is verified"),
+    ],
+)  # fmt: skip
+def test_what_a_file_names_is_not_run_and_not_opened(file, tmp_path, capsys, monkeypatch, names, options, says):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "owned.py").write_text("open('imported', 'w').close()\n" + DIVING)
     monkeypatch.syspath_prepend(str(tmp_path))
-    original = file.read_text()
-    for part, name in (
-        ("policy", "os:system:touch imported"), ("policy", "owned:Dive"),
-        ("policy", "remote:ws://127.0.0.1:9"), ("policy", "small:/etc/passwd"),
-        ("reasoner", "replay:/etc/passwd"), ("reasoner", "os:system:touch imported"),
-        ("reasoner", "vlm:http://127.0.0.1:9/v1"),
-    ):  # fmt: skip
-        document = json.loads(original)
-        document["runs"][0]["run"][part] = name
-        file.write_text(json.dumps(document))
-        with pytest.raises(SystemExit, match="2"):
-            main(["verify", str(file), "--sample", "1"])
-        assert "which must not choose the code, files or servers that are used" in capsys.readouterr().err
-        assert not (tmp_path / "imported").exists()
-    for options, message in (
-        ({"latency": "policy=/etc/passwd"}, "depends on a file, which is not read here"),
-        ({"link": "gazebo"}, "only the simulator is verified"),
-        ({"link": "mavlink:udp:127.0.0.1:14550"}, "only the simulator is verified"),
-    ):
-        document = json.loads(original)
-        document["runs"][0]["run"]["options"] |= options
-        file.write_text(json.dumps(document))
-        with pytest.raises(SystemExit, match="2"):
-            main(["verify", str(file), "--sample", "1"])
-        assert message in capsys.readouterr().err
+    edit(file, lambda document: document["runs"][0]["run"].update(names))
+    edit(file, lambda document: document["runs"][0]["run"]["options"].update(options))
+    with pytest.raises(SystemExit, match="2"):
+        main(["verify", str(file), "--sample", "1"])
+    assert says in capsys.readouterr().err
+    assert not (tmp_path / "imported").exists()
 
 
 def test_the_code_of_an_own_policy_is_named_by_the_person_and_must_be_the_same(tmp_path, diving):
@@ -368,9 +363,7 @@ def test_the_code_of_an_own_policy_is_named_by_the_person_and_must_be_the_same(t
 
 
 def test_other_weights_are_refused(file):
-    document = json.loads(file.read_text())
-    document["runs"][0]["run"]["options"]["model"] = "0" * 64
-    file.write_text(json.dumps(document))
+    edit(file, lambda document: document["runs"][0]["run"]["options"].update(model="0" * 64))
     with pytest.raises(RunError, match="model is another file here"):
         verify(read_submission(file), 1, progress=False)
 
@@ -414,10 +407,8 @@ def test_a_policy_s_name_is_text_in_the_table(smoke_run):
 
 
 def test_the_leaderboard_counts_runs_with_default_options_alone(smoke_run, tmp_path):
-    windy = tmp_path / "results.json"
-    document = json.loads((smoke_run / "results.json").read_text())
-    document["options"]["wind_m_s"] = 4.0
-    windy.write_text(json.dumps(document))
+    windy = Path(shutil.copy(smoke_run / "results.json", tmp_path))
+    edit(windy, lambda document: document["options"].update(wind_m_s=4.0))
     submission = submission_of([smoke_run, windy], "Mine", "Us")
     still, moved = submission.runs
     assert still.flown_with()
@@ -441,13 +432,10 @@ def test_a_run_has_its_scores_by_family_and_the_commit_that_flew_it(smoke_run):
     assert made.renderer == results.renderer
 
 
-def test_verify_says_where_something_else_draws(smoke_run, tmp_path):
-    write_submission(file := tmp_path / "mine.json", submission_of([smoke_run], "Mine", "Us"))
-    content = json.loads(file.read_text())
-    here = content["runs"][0]["renderer"]
+def test_verify_says_where_something_else_draws(file):
+    here = read_submission(file).runs[0].renderer
     for there, differences in ((here, ()), ("NVIDIA H100/PCIe/SSE2", (f"renderer {here} instead of NVIDIA H100",))):
-        content["runs"][0]["renderer"] = there
-        file.write_text(json.dumps(content))
+        edit(file, lambda document, there=there: document["runs"][0].update(renderer=there))
         (checked,) = verify(read_submission(file), 1, seed=1, progress=False)
         assert tuple(text.partition("/")[0] for text in checked.differences) == differences
 

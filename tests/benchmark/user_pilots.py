@@ -40,24 +40,50 @@ class Ended(BaseException):
     """No `Exception`."""
 
 
-class Converts:
-    """Becomes an array, or does something else instead."""
+def fail(error: BaseException) -> None:
+    raise error
 
-    def __init__(self, how: str) -> None:
-        self.how = how
+
+ACTS = {
+    "raise": lambda: fail(RuntimeError("CUDA out of memory")),
+    "surrogate": lambda: fail(RuntimeError("no file \udcff.npy\x1b[31m")),
+    "exit": lambda: sys.exit(0),
+    "interrupt": lambda: fail(KeyboardInterrupt()),
+    "cancelled": lambda: fail(asyncio.CancelledError()),
+    "end": lambda: fail(Ended()),
+    "array exits": lambda: Converts(lambda: sys.exit(3)),
+    "array interrupts": lambda: Converts(lambda: fail(KeyboardInterrupt())),
+    "array divides": lambda: Converts(lambda: 1 / 0),
+    "array hangs": lambda: Converts(lambda: time.sleep(1000)),
+    "quit": lambda: os._exit(0),
+    "hang": lambda: time.sleep(1000),
+    "shape": lambda: np.zeros(4),
+    "words": lambda: "left",
+    "nan": lambda: [[np.nan] * 4],
+    "nothing": lambda: None,
+    "complex": lambda: np.full((1, 4), 1 + 1j),
+    "numbers as text": lambda: [["1", "0", "0", "0"]],
+    "yes and no": lambda: np.ones((1, 4), bool),
+    "too large": lambda: np.full((1, 4), 1e300),
+    "text in an object": lambda: np.array([["1", 0, 0, 0]], object),
+}
+"""What is raised, done or returned in place of an action."""
+
+
+class Converts:
+    """Does something else instead of becoming an array."""
+
+    def __init__(self, act) -> None:
+        self.act = act
 
     def __array__(self, *_args, **_more):
-        if self.how == "array exits":
-            sys.exit(3)
-        if self.how == "array interrupts":
-            raise KeyboardInterrupt
-        if self.how == "array hangs":
-            time.sleep(1000)
-        return 1 / 0
+        return self.act()
 
 
 class Faulty(Straight):
     """Does `how` in its third decision."""
+
+    first = 3
 
     def __init__(self, how: str = "raise") -> None:
         super().__init__()
@@ -69,40 +95,12 @@ class Faulty(Straight):
 
     def act(self, observation):
         self.decisions += 1
-        if self.decisions == 3:
+        if self.decisions == self.first:
             return self.misbehave(observation)
         return super().act(observation)
 
     def misbehave(self, observation):
-        if self.how == "raise":
-            raise RuntimeError("CUDA out of memory")
-        if self.how == "surrogate":
-            raise RuntimeError("no file \udcff.npy\x1b[31m")
-        if self.how == "exit":
-            sys.exit(0)
-        if self.how == "interrupt":
-            raise KeyboardInterrupt
-        if self.how == "cancelled":
-            raise asyncio.CancelledError
-        if self.how == "end":
-            raise Ended
-        if self.how in ("array exits", "array interrupts", "array divides", "array hangs"):
-            return Converts(self.how)
-        if self.how == "quit":
-            os._exit(0)
-        if self.how == "hang":
-            time.sleep(1000)
-        return {
-            "shape": np.zeros(4),
-            "words": "left",
-            "nan": [[np.nan] * 4],
-            "nothing": None,
-            "complex": np.full((1, 4), 1 + 1j),
-            "numbers as text": [["1", "0", "0", "0"]],
-            "yes and no": np.ones((1, 4), bool),
-            "too large": np.full((1, 4), 1e300),
-            "text in an object": np.array([["1", 0, 0, 0]], object),
-        }[self.how]
+        return ACTS[self.how]()
 
 
 class FaultyOnce(Faulty):
@@ -129,25 +127,20 @@ class Reasons:
         return {"text": "Fly left", "surrogate": Guidance("\ud800", None, 1.0)}[self.how]
 
 
-class Pressed(Straight):
+class Pressed(Faulty):
     """Ctrl-C is pressed in its second decision, and it keeps that to itself, or not."""
 
-    def __init__(self, how: str = "") -> None:
-        super().__init__()
-        self.how = how
-        self.decisions = 0
+    first = 2
 
-    def act(self, observation):
-        self.decisions += 1
-        if self.decisions == 2:
-            try:
-                signal.raise_signal(signal.SIGINT)
-            except KeyboardInterrupt:
-                if self.how == "exit":
-                    sys.exit(1)
-                if self.how != "swallow":
-                    raise
-        return super().act(observation)
+    def misbehave(self, observation):
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            if self.how == "exit":
+                sys.exit(1)
+            if self.how != "swallow":
+                raise
+        return Straight.act(self, observation)
 
 
 class Inner(Straight):

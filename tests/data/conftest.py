@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from cognitivedrone.data.episode import Episode
+from cognitivedrone.data.formats import EXPORTS
 
 # Tests and the processes they start load factory.py and made_stores.py by their names.
 sys.path.insert(0, str(Path(__file__).parent))
@@ -25,3 +26,9 @@ def sound_store(tmp_path_factory: pytest.TempPathFactory, flights: list[Episode]
     from made_stores import write_store
 
     return write_store(tmp_path_factory.mktemp("stores") / "sound", flights)
+
+
+@pytest.fixture(params=EXPORTS)
+def to(request: pytest.FixtureRequest) -> str:
+    """Every format of an export in turn."""
+    return str(request.param)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from factory import make_episode
-from made_stores import write_store
+from made_stores import write_store, writer_at
 
 from cognitivedrone.cli import main
 from cognitivedrone.data.card import HEIGHT, WIDTH, card, columns, flight_map, traces
@@ -96,8 +96,6 @@ def test_what_cannot_be_shown_is_refused(tmp_path, sound_store):
 
 
 def write_empty(path: Path) -> Path:
-    from made_stores import writer_at
-
     writer = writer_at(path)
     writer.write_shard(0, [], {})
     writer.finish()

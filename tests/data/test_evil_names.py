@@ -43,7 +43,6 @@ def everything(folder: Path) -> set[str]:
     return {path.relative_to(folder).as_posix() for path in folder.rglob("*")}
 
 
-@pytest.mark.parametrize("to", EXPORTS)
 @pytest.mark.parametrize("name", EVIL, ids=ascii)
 def test_an_export_stays_in_its_folder(tmp_path, to, name):
     inner = tmp_path / "a" / "b" / "c"
@@ -63,7 +62,6 @@ def test_a_published_folder_is_called_after_its_family(tmp_path):
     assert len(list((tmp_path / "out").iterdir())) == len(families)
 
 
-@pytest.mark.parametrize("to", EXPORTS)
 def test_a_text_that_has_no_encoding_is_one_sentence(tmp_path, to):
     with pytest.raises(DataError, match="cannot be written, a text of the data has no UTF-8"):
         export([("train", evil_episode("\ud800"))], to, tmp_path / "out")
@@ -97,7 +95,6 @@ def sets(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("to", EXPORTS)
 @pytest.mark.parametrize("kind", ["pipe", "device", "link", "folder"])
 def test_a_file_of_a_set_that_is_none_is_refused_at_once(sets, tmp_path, to, kind):
     form = to.removesuffix("-video")

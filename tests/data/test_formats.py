@@ -38,7 +38,6 @@ def test_every_export_has_an_import():
     assert {reader_of(to) for to in EXPORTS} == set(IMPORTS)
 
 
-@pytest.mark.parametrize("to", EXPORTS)
 def test_an_export_comes_back_to_the_bit(tmp_path, to):
     """The frames of a video excepted, which look alike. An import may order episodes by split."""
     assert export(FLIGHTS, to, tmp_path / "set") == len(FLIGHTS)
@@ -53,7 +52,6 @@ def test_an_export_comes_back_to_the_bit(tmp_path, to):
         assert_same_episode(after, replace(before, images=images, encoding=encoding))
 
 
-@pytest.mark.parametrize("to", EXPORTS)
 def test_frames_of_the_camera_that_looks_down_come_back_where_there_is_a_place_for_them(tmp_path, to):
     flights: list[tuple[Split, Episode]] = [
         ("val" if index == 1 else "train", make_episode(index, 2, down=True)) for index in range(3)
@@ -75,7 +73,6 @@ def test_flights_with_and_without_a_camera_that_looks_down_are_not_mixed(tmp_pat
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("to", EXPORTS)
 def test_records_from_before_there_were_places_are_read(tmp_path, to):
     split, episode = FLIGHTS[0]
     before = {name: value for name, value in asdict(episode.conditions).items() if name != "place"}
@@ -84,7 +81,6 @@ def test_records_from_before_there_were_places_are_read(tmp_path, to):
     assert [back.conditions.place for _, back in import_(tmp_path / "set", reader_of(to))] == [""]
 
 
-@pytest.mark.parametrize("to", EXPORTS)
 def test_the_same_episodes_give_the_same_bytes(tmp_path, to):
     written = []
     for name in ("a", "b"):
@@ -94,7 +90,6 @@ def test_the_same_episodes_give_the_same_bytes(tmp_path, to):
     assert written[0] == written[1]
 
 
-@pytest.mark.parametrize("to", EXPORTS)
 def test_one_episode_is_in_memory_at_a_time(tmp_path, to):
     alive: weakref.WeakSet[Tracked] = weakref.WeakSet()
 
@@ -110,7 +105,6 @@ def test_one_episode_is_in_memory_at_a_time(tmp_path, to):
     export(flights(), to, tmp_path / "set")
 
 
-@pytest.mark.parametrize("to", EXPORTS)
 def test_nothing_is_overwritten(tmp_path, to):
     (tmp_path / "set").mkdir()
     (tmp_path / "set" / "precious").write_text("mine")
@@ -122,13 +116,11 @@ def test_nothing_is_overwritten(tmp_path, to):
     assert (tmp_path / "set" / "precious").read_text() == "mine"
 
 
-@pytest.mark.parametrize("to", EXPORTS)
 def test_an_empty_folder_is_taken(tmp_path, to):
     assert export(FLIGHTS[:1], to, tmp_path) == 1
     assert any(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("to", EXPORTS)
 @pytest.mark.parametrize("failure", [DataError("shard-3 is broken"), KeyboardInterrupt()])
 def test_an_export_that_fails_leaves_nothing(tmp_path, to, failure):
     def broken():
@@ -142,7 +134,6 @@ def test_an_export_that_fails_leaves_nothing(tmp_path, to, failure):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("to", EXPORTS)
 def test_what_cannot_be_written_is_told_and_leaves_nothing(tmp_path, to):
     """A limit on the size of files fails in the midst of one, as a full disk does."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -155,7 +146,6 @@ def test_what_cannot_be_written_is_told_and_leaves_nothing(tmp_path, to):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("to", EXPORTS)
 def test_unwritable_folders_are_named(tmp_path, to):
     (tmp_path / "file").write_text("")
     with pytest.raises(DataError, match=r"file.*: cannot be written"):

@@ -190,20 +190,22 @@ def test_a_frame_that_thousands_of_rows_share_is_not_read_once_for_each(copied, 
         list(import_(copied, "lerobot"))
 
 
-def test_missing_steps_are_counted(copied):
-    table = pq.read_table(copied / DATA)
-    pq.write_table(table.slice(1), copied / DATA)
-    with pytest.raises(DataError, match="episode 0: holds 2 of 3 steps"):
-        list(import_(copied, "lerobot"))
-
-
-def test_a_broken_picture_is_named(copied):
-    table = pq.read_table(copied / DATA)
+def with_a_broken_picture(table: pa.Table) -> pa.Table:
     images = table[lerobot.IMAGE_KEY].to_pylist()
     images[1]["bytes"] = b"no picture"
-    column = pa.array(images, table.schema.field(lerobot.IMAGE_KEY).type)
-    pq.write_table(table.set_column(0, lerobot.IMAGE_KEY, column), copied / DATA)
-    with pytest.raises(DataError, match="episode 0: frame 1 is broken"):
+    return table.set_column(0, lerobot.IMAGE_KEY, pa.array(images, table.schema.field(lerobot.IMAGE_KEY).type))
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda table: table.slice(1), "episode 0: holds 2 of 3 steps"),
+        (with_a_broken_picture, "episode 0: frame 1 is broken"),
+    ],
+)
+def test_missing_steps_are_counted_and_a_broken_picture_is_named(copied, change, says):
+    pq.write_table(change(pq.read_table(copied / DATA)), copied / DATA)
+    with pytest.raises(DataError, match=says):
         list(import_(copied, "lerobot"))
 
 

@@ -41,11 +41,6 @@ def foreign(tmp_path):
     return setup_path.parent.rename(folder)
 
 
-def edit_csv(folder, change):
-    rows = list(csv.reader((folder / "data.csv").read_text().splitlines()))
-    (folder / "data.csv").write_text("".join(",".join(row) + "\n" for row in change(rows)))
-
-
 def test_the_folder_is_laid_out_as_published(exported):
     episode = next(episode for _, episode in FLIGHTS if episode.task.family == "digits")
     folder = exported / "Digits" / f"{episode.index:08d}"
@@ -123,28 +118,30 @@ def test_the_state_of_a_flight_of_others_is_what_led_to_each_step(foreign):
     np.testing.assert_allclose(np.linalg.norm(episode.velocity[1:], axis=1), speed, rtol=1e-5)
 
 
-def test_a_missing_row_is_named(foreign):
-    edit_csv(foreign, lambda rows: rows[:3] + rows[4:])
-    with pytest.raises(DataError, match=r"data\.csv: row 3 is frame 4; frame 3 is missing"):
-        list(import_(foreign.parents[1], "published"))
-
-
-def test_a_missing_frame_is_named(foreign):
-    (foreign / "images/image_4.jpg").unlink()
-    with pytest.raises(DataError, match=r"image_4\.jpg: the frame of row 4"):
-        list(import_(foreign.parents[1], "published"))
-
-
-@pytest.mark.parametrize("content", [b"", b"no picture", FLIGHTS[0][1].images[0][:500]])
-def test_a_broken_picture_is_named(foreign, content):
-    (foreign / "images/image_2.jpg").write_bytes(content)
-    with pytest.raises(DataError, match=r"image_2\.jpg: not a whole image"):
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("images/image_4.jpg", None, r"image_4\.jpg: the frame of row 4"),
+        *(
+            ("images/image_2.jpg", content, r"image_2\.jpg: not a whole image")
+            for content in (b"", b"no picture", FLIGHTS[0][1].images[0][:500])
+        ),
+        ("setup.json", b'{"prompt": "Fly"}', r"setup\.json: key 'prompt_simpler' is missing"),
+    ],
+)
+def test_a_missing_or_broken_file_is_named(foreign, name, content, says):
+    if content is None:
+        (foreign / name).unlink()
+    else:
+        (foreign / name).write_bytes(content)
+    with pytest.raises(DataError, match=says):
         list(import_(foreign.parents[1], "published"))
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
+        (lambda rows: rows[:3] + rows[4:], "row 3 is frame 4; frame 3 is missing"),
         (lambda rows: [row[:-1] for row in rows], "column 'qw' is missing"),
         (lambda rows: [], "column 'frame_id' is missing"),
         (lambda rows: rows[:1], "holds no row"),
@@ -155,14 +152,9 @@ def test_a_broken_picture_is_named(foreign, content):
     ],
 )
 def test_a_broken_table_is_reported(foreign, change, message):
-    edit_csv(foreign, change)
+    rows = list(csv.reader((foreign / "data.csv").read_text().splitlines()))
+    (foreign / "data.csv").write_text("".join(",".join(row) + "\n" for row in change(rows)))
     with pytest.raises(DataError, match=rf"data\.csv: .*{message}"):
-        list(import_(foreign.parents[1], "published"))
-
-
-def test_a_broken_task_is_named(foreign):
-    (foreign / "setup.json").write_text('{"prompt": "Fly"}')
-    with pytest.raises(DataError, match=r"setup\.json: key 'prompt_simpler' is missing"):
         list(import_(foreign.parents[1], "published"))
 
 

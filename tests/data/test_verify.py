@@ -166,15 +166,13 @@ def test_every_file_is_checked_and_mended(store, flights, name, how):
     assert verify(store) == []
 
 
-def test_an_altered_manifest_or_statistics_is_not_read(store):
-    manifest = store / "manifest.json"
-    manifest.write_text(manifest.read_text().replace('"seed": 3', '"seed": 4'))
-    with pytest.raises(DataError, match=r"manifest\.json: does not match its checksum in SHA256SUMS"):
-        Store.open(store)
-    manifest.write_text(manifest.read_text().replace('"seed": 4', '"seed": 3'))
-    (store / "statistics.json").write_text("{}")
-    with pytest.raises(DataError, match=r"statistics\.json: does not match its checksum"):
-        Store.open(store).statistics()
+@pytest.mark.parametrize(
+    ("name", "read"), [("manifest.json", lambda _: None), ("statistics.json", lambda opened: opened.statistics())]
+)
+def test_an_altered_manifest_or_statistics_is_not_read(store, name, read):
+    SPOILT["another digit"](store / name)
+    with pytest.raises(DataError, match=rf"{name}: does not match its checksum in SHA256SUMS"):
+        read(Store.open(store))
 
 
 def test_what_a_killed_writer_left_is_told_and_removed(store):

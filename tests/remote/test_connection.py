@@ -122,8 +122,8 @@ def test_an_error_as_first_answer_is_said_and_the_flight_decides():
 
 
 @contextlib.contextmanager
-def listening(answer=b""):
-    """A program that accepts connections, sends `answer` to whatever comes, and then is silent."""
+def listening(answer=None):
+    """A program that accepts connections, answers whatever comes with what `answer` makes of it, and then is silent."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         kept = []
 
@@ -132,8 +132,7 @@ def listening(answer=b""):
                 while True:
                     kept.append(server.accept()[0])
                     if answer:
-                        kept[-1].recv(1 << 16)
-                        kept[-1].sendall(answer)
+                        kept[-1].sendall(answer(kept[-1].recv(1 << 16)))
 
         threading.Thread(target=accept, daemon=True).start()
         host, port = server.getsockname()
@@ -163,7 +162,7 @@ def test_a_server_that_sends_no_metadata_is_given_up_in_one_sentence(monkeypatch
 def test_another_kind_of_server_is_refused_at_once(status):
     answer = b"HTTP/1.1 " + status + b"\r\nContent-Length: 2\r\nConnection: close\r\n\r\nhi"
     expected = rf"is no policy server: it answers {status[:3].decode()}"
-    with listening(answer) as address, flown(address) as policy, pytest.raises(ServerError, match=expected):
+    with listening(lambda _: answer) as address, flown(address) as policy, pytest.raises(ServerError, match=expected):
         policy.check()
 
 
@@ -257,14 +256,24 @@ def test_a_redirect_is_not_followed_and_the_token_stays_here(monkeypatch):
     with openpi_server(infer) as elsewhere:
         answer = f"HTTP/1.1 302 Found\r\nLocation: ws://{elsewhere}/\r\nContent-Length: 0\r\n\r\n".encode()
         expected = "answers 302; redirects are not followed, give the new address"
-        with listening(answer) as address, flown(address) as policy, pytest.raises(ServerError, match=expected):
+        with (
+            listening(lambda _: answer) as address,
+            flown(address) as policy,
+            pytest.raises(ServerError, match=expected),
+        ):
             policy.check()
     assert asked == []
 
 
 def test_a_connection_that_is_closed_while_it_closes_leaves_no_socket_open():
     """The server sent no metadata but a list, and does not answer the farewell, for which the client waits a second."""
-    with mute_server(b"\x82\x03\x92\x01\x02") as address:
+
+    def shake_hands(head):
+        key = head.partition(b"Sec-WebSocket-Key: ")[2].partition(b"\r\n")[0].decode()
+        upgraded = b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        return upgraded + f"Sec-WebSocket-Accept: {accept_key(key)}\r\n\r\n".encode() + b"\x82\x03\x92\x01\x02"
+
+    with listening(shake_hands) as address:
         made = connection.Connection(f"ws://{address}")
         with pytest.raises(ServerError):
             made.open(0.3)
@@ -273,24 +282,3 @@ def test_a_connection_that_is_closed_while_it_closes_leaves_no_socket_open():
         thread.join(60)
         del made
         gc.collect()  # a socket that is open would warn here
-
-
-@contextlib.contextmanager
-def mute_server(sent):
-    """A server that shakes hands, sends these bytes, and then is silent."""
-
-    def serve():
-        with server.accept()[0] as accepted:
-            head = accepted.recv(1 << 16)
-            key = head.partition(b"Sec-WebSocket-Key: ")[2].partition(b"\r\n")[0].decode()
-            upgraded = b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-            accepted.sendall(upgraded + f"Sec-WebSocket-Accept: {accept_key(key)}\r\n\r\n".encode() + sent)
-            done.wait(60)
-
-    done = threading.Event()
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        threading.Thread(target=serve, daemon=True).start()
-        try:
-            yield f"127.0.0.1:{server.getsockname()[1]}"
-        finally:
-            done.set()

@@ -4,7 +4,7 @@ import contextlib
 import http.client
 import json
 import logging
-import threading
+from concurrent.futures import ThreadPoolExecutor, as_completed
 
 import msgpack
 import numpy as np
@@ -78,15 +78,21 @@ def test_clients_do_not_see_each_other(address):
         assert [counted(one), counted(one), counted(other)] == [[0, 2], [0, 3], [0, 2]]
 
 
+def crowd(stack, address, count):
+    """That many clients: the observation of the first is held, and those of the others wait."""
+    clients = [stack.enter_context(Client(address)) for _ in range(count)]
+    clients[0].send(observation())
+    assert Held.busy.wait(60)
+    for client in clients[1:]:
+        client.send(observation())
+    return clients
+
+
 def test_what_waits_goes_into_one_batch(monkeypatch):
     monkeypatch.setattr(Held, "sizes", [])
     Held.hold()
     with served(policy="served_pilots:Held", batch=3) as address, contextlib.ExitStack() as stack:
-        clients = [stack.enter_context(Client(address)) for _ in range(5)]
-        clients[0].send(observation())
-        assert Held.busy.wait(60)
-        for client in clients[1:]:
-            client.send(observation())
+        clients = crowd(stack, address, 5)
         # The server answers each client in turn: this one's answer shows that the others' observations have arrived.
         with Client(address) as last:
             last.send(observation(observation__image=None))
@@ -205,22 +211,13 @@ def test_a_silent_client_makes_room():
 def test_no_more_waiting_observations_than_allowed():
     Held.hold()
     with served(policy="served_pilots:Held", queue=1) as address, contextlib.ExitStack() as stack:
-        clients = [stack.enter_context(Client(address)) for _ in range(3)]
-        clients[0].send(observation())
-        assert Held.busy.wait(60)
-        for client in clients[1:]:
-            client.send(observation())
-        answers: list[object] = []
-        threads = [threading.Thread(target=lambda c=c: answers.append(c.receive())) for c in clients]
-        for thread in threads:
-            thread.start()
-        while not answers:
-            threads[1].join(0.01)
-        assert error_of(answers[0]) == "busy"
-        Held.go.set()
-        for thread in threads:
-            thread.join()
-        assert sum(isinstance(answer, dict) for answer in answers) == 2
+        clients = crowd(stack, address, 3)
+        with ThreadPoolExecutor() as pool:
+            answers = [pool.submit(client.receive) for client in clients]
+            first = next(as_completed(answers, timeout=60)).result()
+            Held.go.set()
+        assert error_of(first) == "busy"
+        assert sum(isinstance(answer.result(), dict) for answer in answers) == 2
 
 
 @pytest.fixture(scope="module")
@@ -254,12 +251,6 @@ class TestAccess:
         with Client(guarded, Authorization=f"{scheme} {TOKEN}") as client:
             assert counted(client) == [0, 1]
 
-    def test_other_machines_need_a_token(self, monkeypatch):
-        monkeypatch.delenv("COGNITIVEDRONE_SERVER_TOKEN", raising=False)
-        for host in ("0.0.0.0", "::", "192.168.1.2", ""):  # noqa: S104
-            with pytest.raises(ServerError, match="needs a token"), served(host=host):
-                pass
-
     @pytest.mark.parametrize("token", ["short", "with a blank in the middle", "ünprintable-in-headers"])
     def test_a_token_that_can_be_guessed_or_not_sent_is_refused(self, token, monkeypatch):
         monkeypatch.setenv("COGNITIVEDRONE_SERVER_TOKEN", token)
@@ -286,17 +277,15 @@ class TestPilot:
             assert client.ask(observation())["actions"][0, 1] == 6
             assert client.ask(observation(time=30.0))["actions"][0, 2] == directive
 
-    def test_the_directive_hold_holds(self, pilot):
+    @pytest.mark.parametrize(
+        ("sentence", "holds", "present"), [("nothing", True, None), ("surely nothing", False, 0.99)]
+    )
+    def test_the_directive_hold_holds_but_a_policy_that_is_sure_is_not_stopped(self, pilot, sentence, holds, present):
         with Client(pilot) as client:
-            answers = [client.ask(observation("nothing", time=seconds)) for seconds in (0.0, 0.5, 1.0)]
-            assert [answer["declines"] for answer in answers] == [False, False, True]
-            assert answers[-1]["actions"].tolist() == [[0, 0, 0, 0]]
-
-    def test_a_policy_that_is_sure_is_not_stopped(self, pilot):
-        with Client(pilot) as client:
-            answers = [client.ask(observation("surely nothing", time=seconds)) for seconds in (0.0, 0.5, 1.0, 1.5)]
-            assert [answer["declines"] for answer in answers] == [False, False, False, False]
-            assert answers[-1]["present"] == 0.99
+            answers = [client.ask(observation(sentence, time=seconds)) for seconds in (0.0, 0.5, 1.0, 1.5)]
+            assert [answer["declines"] for answer in answers] == [False, False, holds, holds]
+            assert (answers[2]["actions"].tolist() == [[0, 0, 0, 0]]) == holds
+            assert answers[-1].get("present") == present
 
     def test_without_an_answer_the_prompt_counts(self, pilot):
         with Client(pilot) as client:
@@ -318,16 +307,19 @@ def test_a_seed_reaches_the_policy():
         assert answer["actions"].tolist() == [[77] * 4] * 2
 
 
-def test_an_oracle_is_not_served():
-    says = "'oracle' uses privileged state, which no client sends"
-    for options in ({"policy": "oracle"}, {"reasoner": "oracle"}):
-        with pytest.raises(GroundTruthError, match=says), served(**options):
-            pass
-
-
-def test_a_policy_that_looks_down_is_not_served():
-    says = "needs a camera that looks down, which no client sends"
-    with pytest.raises(PolicyError, match=says), served(policy="served_pilots:LooksDown"):
+@pytest.mark.parametrize(
+    ("options", "error", "says"),
+    [
+        ({"policy": "oracle"}, GroundTruthError, "'oracle' uses privileged state, which no client sends"),
+        ({"reasoner": "oracle"}, GroundTruthError, "'oracle' uses privileged state, which no client sends"),
+        ({"policy": "served_pilots:LooksDown"}, PolicyError, "needs a camera that looks down, which no client sends"),
+        ({"policy": "smal"}, PluginError, "unknown policy"),
+        *(({"host": host}, ServerError, "needs a token") for host in ("0.0.0.0", "::", "192.168.1.2", "")),  # noqa: S104
+    ],
+)
+def test_what_is_not_served_is_refused_before_the_port_is_used(monkeypatch, options, error, says):
+    monkeypatch.delenv("COGNITIVEDRONE_SERVER_TOKEN", raising=False)
+    with pytest.raises(error, match=says), served(**options):
         pass
 
 
@@ -341,11 +333,6 @@ def test_a_port_that_is_taken_is_named(address):
 def test_a_limit_that_is_none_is_refused(option):
     with pytest.raises(UsageError, match=f"--{option.replace('_', '-')} is -1"):
         ServePlan.of(**{option: -1})
-
-
-def test_an_unknown_policy_is_refused_before_the_port_is_used():
-    with pytest.raises(PluginError, match="unknown policy"), served(policy="smal"):
-        pass
 
 
 def test_200_frames_that_the_policy_fails_at_leave_few_lines_in_the_log(capsys):

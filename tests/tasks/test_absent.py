@@ -42,6 +42,13 @@ def shown(puzzle):
     return [tuple(panel.label.rpartition("@")[0].split("/", 1)) for panel in puzzle.panels]
 
 
+def puzzles(kind):
+    """Many of a kind: each with its sentence and what its panels show."""
+    for seed in SEEDS:
+        made = puzzle(kind, seed)
+        yield made, made.instruction, shown(made)
+
+
 def numbers_asked(text):
     """The value of a sum, or a number in figures or words."""
     sums = re.findall(r"[\d(][\d()+*-]*", text)
@@ -61,68 +68,59 @@ def test_the_same_draw_gives_the_same_task_of_three_different_panels(kind):
 
 @pytest.mark.parametrize("kind", ["letters", "digits", "math", "math_board"])
 def test_no_panel_shows_the_letter_or_number(kind):
-    for seed in SEEDS:
-        made = puzzle(kind, seed)
-        panels = shown(made)
+    for made, sentence, panels in puzzles(kind):
         if kind == "letters":
-            (asked,) = re.findall(r"\b[A-Z]\b", made.instruction.replace("I want", ""))
+            (asked,) = re.findall(r"\b[A-Z]\b", sentence.replace("I want", ""))
             assert ("letter", asked) not in panels
             assert "number" not in dict(panels)
         else:
-            text = made.board.partition("@")[0].partition("/")[2] if made.board else made.instruction
+            text = made.board.partition("@")[0].partition("/")[2] if made.board else sentence
             assert ("number", str(numbers_asked(text))) not in panels
             assert "letter" not in dict(panels)
 
 
 def test_no_panel_shows_the_animal_or_one_like_it():
-    for seed in SEEDS:
-        made = puzzle("animals", seed)
-        asked = {name for name in RIVALS if re.search(rf"\b{name.replace('_', ' ')}\b", made.instruction)}
+    for _, sentence, panels in puzzles("animals"):
+        asked = {name for name in RIVALS if re.search(rf"\b{name.replace('_', ' ')}\b", sentence)}
         assert asked
-        for what, name in shown(made):
+        for what, name in panels:
             assert what != "animal" or not asked & {name, *RIVALS[name]}
 
 
 def test_no_panel_shows_the_logo():
-    for seed in SEEDS:
-        made = puzzle("logos", seed)
-        for what, name in shown(made):
-            assert what == "person" or not re.search(rf"\b{re.escape(logo_name(name))}\b", made.instruction)
+    for _, sentence, panels in puzzles("logos"):
+        for what, name in panels:
+            assert what == "person" or not re.search(rf"\b{re.escape(logo_name(name))}\b", sentence)
+
+
+def people(panels):
+    return [parse_person(concept) for what, concept in panels if what == "person"]
 
 
 def test_no_person_shows_all_features_and_each_clearly_lacks_one():
-    for seed in SEEDS:
-        made = puzzle("attributes", seed)
-        asked = [feature for phrase, feature in _BY_PHRASE.items() if re.search(rf"\b{phrase}\b", made.instruction)]
+    for _, sentence, panels in puzzles("attributes"):
+        asked = [feature for phrase, feature in _BY_PHRASE.items() if re.search(rf"\b{phrase}\b", sentence)]
         assert asked
-        for what, concept in shown(made):
-            if what == "person":
-                assert any(feature.holds(parse_person(concept)) is False for feature in asked), made
+        for person in people(panels):
+            assert any(feature.holds(person) is False for feature in asked), sentence
 
 
 def test_no_person_has_the_name():
-    for seed in SEEDS:
-        made = puzzle("people", seed)
-        name = next(name for name in CAST if re.search(rf"\b{name}\b", made.instruction))
-        for what, concept in shown(made):
-            if what == "person":
-                person = parse_person(concept)
-                assert any(person.get(part) != CAST[name].get(part) for part in IDENTITY)
+    for _, sentence, panels in puzzles("people"):
+        name = next(name for name in CAST if re.search(rf"\b{name}\b", sentence))
+        for person in people(panels):
+            assert any(person.get(part) != CAST[name].get(part) for part in IDENTITY)
 
 
 def test_every_food_and_every_thing_is_on_the_false_side():
-    for seed in SEEDS:
-        made = puzzle("food", seed)
-        for what, name in shown(made):
-            if what == "food":
-                good = any(re.search(rf"\b{noun}\b", made.instruction) for noun in GOOD)
-                assert name in (UNHEALTHY if good else HEALTHY)
-        made = puzzle("association", seed)
-        panels = shown(made)
-        facts = [fact for fact in FACTS if any(f" {phrase}" in made.instruction for phrase in fact.phrases)]
+    for _, sentence, panels in puzzles("food"):
+        good = any(re.search(rf"\b{noun}\b", sentence) for noun in GOOD)
+        assert {name for what, name in panels if what == "food"} <= set(UNHEALTHY if good else HEALTHY)
+    for _, sentence, panels in puzzles("association"):
+        facts = [fact for fact in FACTS if any(f" {phrase}" in sentence for phrase in fact.phrases)]
         if panels[0][0] in ("letter", "number"):
             sides = {"odd": EVEN, "even": ODD, "vowel": CONSONANTS, "consonant": VOWELS}
-            wrong = next(side for word, side in sides.items() if re.search(rf"\b{word}\b", made.instruction))
+            wrong = next(side for word, side in sides.items() if re.search(rf"\b{word}\b", sentence))
             assert {name for _, name in panels} <= set(map(str, wrong))
         else:
             assert any({name for _, name in panels} <= set(fact.false) for fact in facts)
@@ -131,12 +129,11 @@ def test_every_food_and_every_thing_is_on_the_false_side():
 
 
 def test_no_gate_has_the_look_that_is_asked_for():
-    for seed in SEEDS:
-        made = puzzle(LOOKS, seed)
-        size, color, shape = parse_directive(made.instruction)
+    for _, sentence, _ in puzzles(LOOKS):
+        size, color, shape = parse_directive(sentence)
         assert shape is not None
         assert color is None
-        assert fitting_gate(made.instruction, GATES) is None
+        assert fitting_gate(sentence, GATES) is None
         assert all((gate.shape, size or gate.size) != (shape, gate.size) for gate in GATES)
 
 

@@ -110,7 +110,7 @@ def read(obstacles, landmark=None, **more):
 
 
 @pytest.mark.parametrize(
-    ("obstacles", "message"),
+    ("things", "message"),
     [
         ({}, "obstacles must be a list of objects, not dict"),
         ([PILLAR] * 1000, "1000 obstacles are too many; leave 20 at most"),
@@ -132,29 +132,18 @@ def read(obstacles, landmark=None, **more):
         ([{**PILLAR, "sway": 0.5, "period": 0}], "obstacle 1, a pillar, has period 0; make it 1 to 60"),
         ([{**PILLAR, "sway": 2.0}], "obstacle 1, a pillar, moves at 1.57 m/s; make its period 12.6 s at least"),
         ([{**PILLAR, "x": 3.8, "sway": 1.0, "yaw": -1.57}], "a pillar, on its way overlaps the opening or the panel"),
+        ((3,), "landmark must be an object, not int"),
+        (({**MARK, "label": 3},), "the label of the landmark must be a string"),
+        (({**MARK, "height": 0.2},), "the landmark has height 0.2; make it 1.2 to 4"),
+        (({**MARK, "x": 5.0, "y": 0.0},), "the landmark overlaps the opening or the panel of gate 2"),
+        (({**MARK, "wide": 3},), "the landmark has the unknown key 'wide'"),
     ],
 )
-def test_faults_of_obstacles_are_said_in_one_sentence(obstacles, message):
+def test_faults_of_obstacles_and_of_landmarks_are_said_in_one_sentence(things, message):
     with pytest.raises(TaskError, match=r"^f\[0\]: ") as caught:
-        read(obstacles)
+        read([], *things) if isinstance(things, tuple) else read(things)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("landmark", "message"),
-    [
-        (3, "landmark must be an object, not int"),
-        ({**MARK, "label": 3}, "the label of the landmark must be a string"),
-        ({**MARK, "height": 0.2}, "the landmark has height 0.2; make it 1.2 to 4"),
-        ({**MARK, "x": 5.0, "y": 0.0}, "the landmark overlaps the opening or the panel of gate 2"),
-        ({**MARK, "wide": 3}, "the landmark has the unknown key 'wide'"),
-    ],
-)
-def test_faults_of_landmarks(landmark, message):
-    with pytest.raises(TaskError) as caught:
-        read([], landmark)
-    assert message in str(caught.value)
 
 
 def test_a_landing_has_no_obstacles_and_a_board_no_landmark():

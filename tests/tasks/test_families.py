@@ -3,6 +3,8 @@
 import itertools
 import re
 from collections import Counter, defaultdict
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -157,14 +159,11 @@ def described(instruction: str) -> list[people.Feature]:
 
 
 def test_exactly_one_person_fits_a_description(train: list[Task]) -> None:
-    hard = [Draw(np.random.default_rng([3, i]), TRAIN, i % 3) for i in range(200)]
-    puzzles = [generator("conjunction")(draw) for draw in hard]
+    cases: list[tuple[str, Any, int]]
     cases = [(task.instruction, task.labels, task.target) for task in train if task.family == "attributes"]
-    cases += [
-        (p.instruction, (a.label, b.label, c.label), d.target)
-        for p, d in zip(puzzles, hard, strict=True)
-        for a, b, c in [p.panels]
-    ]
+    for draw in (Draw(np.random.default_rng([3, i]), TRAIN, i % 3) for i in range(200)):
+        puzzle = generator("conjunction")(draw)
+        cases.append((puzzle.instruction, [panel.label for panel in puzzle.panels], draw.target))
     for instruction, labels, target in cases:
         features = described(instruction)
         assert features, instruction
@@ -221,8 +220,7 @@ def test_hard_families_make_well_formed_puzzles(family: str) -> None:
 
 def hard(family: str, count: int = 300) -> list[tuple[str, tuple[str, ...], int, str | None]]:
     drawn = []
-    for i in range(count):
-        draw = Draw(np.random.default_rng([7, i]), TRAIN, i % 3)
+    for draw in (Draw(np.random.default_rng([7, i]), TRAIN, i % 3) for i in range(count)):
         puzzle = generator(family)(draw)
         drawn.append((puzzle.instruction, tuple(panel.option for panel in puzzle.panels), draw.target, puzzle.board))
     return drawn
@@ -310,25 +308,24 @@ def test_memory_tracks_can_be_answered_from_the_gates_flown_through() -> None:
 # ---- nothing leaks
 
 
-def test_the_target_does_not_depend_on_style_font_or_background(train: list[Task]) -> None:
+@pytest.mark.parametrize(
+    "traits_of",
+    [
+        lambda task, i: {style(task.labels[i])} - {vocabulary.LOGO_STYLE},
+        *(lambda task, i, key=key: {getattr(task.gates[i], key)} for key in ("size", "shape", "color")),
+    ],
+    ids=["style, font or background", "size", "shape", "color"],
+)
+def test_the_target_does_not_depend_on_the_look_of_panel_or_gate(
+    train: list[Task], traits_of: Callable[[Task, int], set[str]]
+) -> None:
     rates: dict[str, list[bool]] = defaultdict(list)
-    for task in train:
-        for i, label in enumerate(task.labels):
-            rates[style(label)].append(i == task.target)
+    for task, i in itertools.product(train, range(3)):
+        for trait in traits_of(task, i):
+            rates[trait].append(i == task.target)
     for name, hits in rates.items():
-        if name != vocabulary.LOGO_STYLE:
-            # Five standard deviations of chance.
-            assert abs(np.mean(hits) - 1 / 3) < 5 * np.sqrt(2 / 9 / len(hits)), name
-
-
-def test_the_target_does_not_depend_on_the_gates(train: list[Task]) -> None:
-    for key in ("size", "shape", "color"):
-        hits = defaultdict(list)
-        for task in train:
-            for i, gate in enumerate(task.gates):
-                hits[getattr(gate, key)].append(i == task.target)
-        for look, values in hits.items():
-            assert abs(np.mean(values) - 1 / 3) < 5 * np.sqrt(2 / 9 / len(values)), look
+        # Five standard deviations of chance.
+        assert abs(np.mean(hits) - 1 / 3) < 5 * np.sqrt(2 / 9 / len(hits)), name
 
 
 # ---- nothing held out in training

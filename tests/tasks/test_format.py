@@ -1,6 +1,7 @@
 """Task files: exact both ways, and clear about what is wrong."""
 
 import copy
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -202,10 +203,8 @@ def test_tasks_of_unknown_kinds_must_say_what_they_are() -> None:
 
 
 def test_directives_are_read_as_written() -> None:
-    for size in SIZES:
-        for color in COLORS:
-            for shape in SHAPES:
-                assert parse_directive(write_directive(Gate(size, shape, color))) == (size, color, shape)
+    for size, color, shape in itertools.product(SIZES, COLORS, SHAPES):
+        assert parse_directive(write_directive(Gate(size, shape, color))) == (size, color, shape)
 
 
 @pytest.mark.parametrize(

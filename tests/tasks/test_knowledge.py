@@ -267,14 +267,10 @@ def test_a_row_for_a_shipped_thing_replaces_its_cells(tmp_path: Path) -> None:
         ("concept,who\nanna,a;a\n", "'a' twice"),
         ("concept,who\nanna,a,b\n", "has 3 cells"),
         (f"concept,who\nanna,{'x' * 200}\n", "1 to 120 characters"),
+        ("concept,who\nfox,x\n", "'fox' can be people/fox or pets/fox; write the one you mean in full"),
     ],
 )
 def test_malformed_facts_of_their_own_are_rejected(tmp_path: Path, text: str, said: str) -> None:
     with pytest.raises(TaskError, match=said) as error:
-        own(tmp_path, text)
+        own(tmp_path, text, (*MINE, "people/fox", "pets/fox"))
     assert "\n" not in str(error.value)
-
-
-def test_a_concept_of_two_kinds_must_be_named_in_full(tmp_path: Path) -> None:
-    with pytest.raises(TaskError, match=r"'fox' can be people/fox or pets/fox; write the one you mean in full"):
-        own(tmp_path, "concept,who\nfox,x\n", ("people/fox", "pets/fox"))

@@ -1,7 +1,5 @@
 """Makes `peer`, `px4_peer` and `fuzz` importable by their names."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

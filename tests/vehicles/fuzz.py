@@ -1,7 +1,5 @@
 """Bytes that are no message of our vehicle, by the thousands, and a connection that is fed with them."""
 
-from __future__ import annotations
-
 import random
 import socket
 from collections.abc import Hashable, Iterator
@@ -23,6 +21,7 @@ class Fed(Transport):
     """A transport that gives what it is fed."""
 
     datagrams = True
+    link: MavlinkConnection
 
     def __init__(self) -> None:
         self._far, self._near = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -32,6 +31,11 @@ class Fed(Transport):
 
     def fileno(self) -> int:
         return self._near.fileno()
+
+    def hear(self, packet: bytes, peer: int = VEHICLE) -> None:
+        """Feed it, and let the connection take it."""
+        self.feed(packet, peer)
+        self.link.step(0.0)
 
     def read(self, timeout_s: float) -> tuple[bytes, Hashable]:
         try:
@@ -49,11 +53,10 @@ class Fed(Transport):
 
 
 def connected() -> tuple[MavlinkConnection, Fed]:
-    """A connection that has met its vehicle; whoever made it calls `step`."""
+    """A connection that has met its vehicle."""
     transport = Fed()
-    link = MavlinkConnection(transport, threaded=False)
-    transport.feed(packed(BEAT), VEHICLE)
-    link.step(0.0)
+    link = transport.link = MavlinkConnection(transport, threaded=False)
+    transport.hear(packed(BEAT))
     assert link.vehicle is not None
     return link, transport
 

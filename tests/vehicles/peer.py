@@ -1,15 +1,13 @@
 """A vehicle that plays a part: it says what a test tells it to say, over a real UDP socket, and climbs in no time."""
 
-from __future__ import annotations
-
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as m
@@ -224,7 +222,7 @@ class Peer:
                 self._report()
 
     def _report(self) -> None:
-        part, mav = self.part, self._mav
+        part = self.part
         for packet in part.also:
             self.write(packet)
         boot_ms = self.boot_ms()
@@ -243,16 +241,20 @@ class Peer:
         ]
         if part.landed is not None:
             messages.append(m.MAVLink_extended_sys_state_message(0, 1 if part.landed else 2))
+        self._send(messages, boot_ms, part.mode == MODES["GUIDED"], self._sent_speed)
+
+    def _send(self, messages: list[Any], boot_ms: int, guided: bool, speed: float) -> None:
+        """These, the sticks and what it flies to, but for those that it does not send."""
+        part = self.part
         if part.sticks:
             messages.append(m.MAVLink_rc_channels_message(boot_ms, 4, *part.sticks, *[0] * 14, 255))
-        if part.mode == MODES["GUIDED"] and part.armed:
-            mask, speed = part.target or (0xC07, self._sent_speed)
-            messages.append(
-                m.MAVLink_position_target_local_ned_message(boot_ms, 1, mask, 0, 0, 0, speed, 0, 0, 0, 0, 0, 0, 0)
-            )
+        if guided and part.armed:
+            mask, speed = part.target or (0xC07, speed)
+            target = m.MAVLink_position_target_local_ned_message
+            messages.append(target(boot_ms, 1, mask, 0, 0, 0, speed, 0, 0, 0, 0, 0, 0, 0))
         for message in messages:
             if message.get_type() not in part.quiet:
-                mav.send(message)
+                self._mav.send(message)
 
     def boot_ms(self) -> int:
         """Its clock."""
@@ -324,14 +326,9 @@ def kinds_logged(log: Path) -> set[tuple[int, str]]:
     return kinds
 
 
-@contextmanager
-def playing(**part: Any) -> Iterator[Peer]:
+def playing(**part: Any) -> closing[Peer]:
     """A peer for one test."""
-    peer = Peer(Part(**part))
-    try:
-        yield peer
-    finally:
-        peer.close()
+    return closing(Peer(Part(**part)))
 
 
 class MavlinkDrone:
@@ -350,7 +347,7 @@ class MavlinkDrone:
             self._undo = undo.pop_all()
         self.link, self.vehicle, self.simulated = self._core.link, self._core.met.vehicle, self._core.met.simulated
 
-    def __enter__(self) -> MavlinkDrone:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exception: object) -> None:

@@ -4,13 +4,10 @@ It flies by kinematics alone. Rules: https://docs.px4.io/main/en/flight_modes/of
 https://docs.px4.io/main/en/config/safety.html and https://mavlink.io/en/services/parameter.html.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -119,16 +116,7 @@ class PX4Peer(Peer):  # type: ignore[misc]
             m.MAVLink_sys_status_message(remote, remote, health, 0, 12000, -1, part.battery, 0, 0, 0, 0, 0, 0),
             m.MAVLink_estimator_status_message(boot_ms * 1000, part.ekf, *[part.variance] * 6, 0.1, 0.1),
         ]
-        if part.sticks:
-            messages.append(m.MAVLink_rc_channels_message(boot_ms, 4, *part.sticks, *[0] * 14, 255))
-        if part.mode == MODES["OFFBOARD"] and part.armed:
-            mask, speed = part.target or (0xC07, math.hypot(*self._setpoint[:3]))
-            messages.append(
-                m.MAVLink_position_target_local_ned_message(boot_ms, 1, mask, 0, 0, 0, speed, 0, 0, 0, 0, 0, 0, 0)
-            )
-        for message in messages:
-            if message.get_type() not in part.quiet:
-                self._mav.send(message)
+        self._send(messages, boot_ms, part.mode == MODES["OFFBOARD"], math.hypot(*self._setpoint[:3]))
 
     def _heartbeat(self) -> None:
         part = self.part
@@ -281,11 +269,6 @@ class PX4Peer(Peer):  # type: ignore[misc]
         self._parameter(message.param_id)
 
 
-@contextmanager
-def playing_px4(**part: Any) -> Iterator[PX4Peer]:
+def playing_px4(**part: Any) -> closing[PX4Peer]:
     """A peer for one test."""
-    peer = PX4Peer(PX4Part(**part))
-    try:
-        yield peer
-    finally:
-        peer.close()
+    return closing(PX4Peer(PX4Part(**part)))

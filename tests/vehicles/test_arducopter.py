@@ -1,7 +1,5 @@
 """The process: found, started as it should be, heard when it ends."""
 
-from __future__ import annotations
-
 import socket
 import subprocess
 import sys

@@ -1,7 +1,6 @@
 """Cameras: the newest frame with its age, from folders, files and streams; and clear words about the rest."""
 
-from __future__ import annotations
-
+import contextlib
 import math
 import os
 import resource
@@ -9,6 +8,7 @@ import socket
 import struct
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from io import BytesIO
 from pathlib import Path
 
@@ -19,50 +19,62 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import ExifTags
 from PIL import Image as Pictures
+from waiting import soon
 
 from cognitivedrone.errors import CameraError
 from cognitivedrone.pictures import MAX_PICTURE_BYTES
 from cognitivedrone.vehicles.camera import CameraConfig, Shot, WatchedCamera, cropped_fov, fit, open_camera
 
 
-def write_video(path: Path, *, frames: int = 10, rate: int = 20, size: tuple[int, int] = (320, 240)) -> Path:
-    """Frames that get brighter by 20 each."""
-    with av.open(str(path), "w", format="mpegts" if path.suffix == ".ts" else None) as container:
+def write_video(path: Path, pictures: list[np.ndarray], rate: int = 20, **options) -> Path:
+    with av.open(str(path), "w", **options) as container:
         stream = container.add_stream("mpeg4", rate=rate)
-        stream.width, stream.height, stream.pix_fmt = *size, "yuv420p"
-        for index in range(frames):
-            picture = np.full((size[1], size[0], 3), 20 * (index + 1), np.uint8)
-            for packet in stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")):
-                container.mux(packet)
-        for packet in stream.encode():
-            container.mux(packet)
+        stream.height, stream.width, stream.pix_fmt = *pictures[0].shape[:2], "yuv420p"
+        stream.bit_rate = 8_000_000
+        for picture in pictures:
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        container.mux(stream.encode())
     return path
+
+
+def brighter(count: int) -> list[np.ndarray]:
+    """Frames that get brighter by 20 each."""
+    return [np.full((240, 320, 3), 20 * (index + 1), np.uint8) for index in range(count)]
 
 
 @pytest.fixture(scope="module")
 def video(tmp_path_factory) -> Path:
-    return write_video(tmp_path_factory.mktemp("video") / "flight.mp4")
+    return write_video(tmp_path_factory.mktemp("video") / "flight.mp4", brighter(10))
 
 
-def wait(holds, timeout_s: float = 60.0):
-    end = time.monotonic() + timeout_s
-    while not (result := holds()):
-        assert time.monotonic() < end
-        time.sleep(0.005)
-    return result
+def wait(holds):
+    """What it gives, as soon as that is true."""
+    results = []
+    soon(lambda: results.append(holds()) or results[-1])
+    return results[-1]
+
+
+def write_lying(path: Path, matrix: tuple[int, int, int, int], picture: np.ndarray) -> Path:
+    """A video of one still picture, whose display matrix a player has to follow."""
+    content = bytearray(write_video(path, [picture] * 3, rate=10, format="mp4").read_bytes())
+    place = content.index(b"tkhd") + 4 + 40
+    assert struct.unpack_from(">9i", content, place) == (1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30)
+    a, b, c, d = (65536 * value for value in matrix)
+    struct.pack_into(">9i", content, place, a, b, 0, c, d, 0, 0, 0, 1 << 30)
+    path.write_bytes(content)
+    return path
 
 
 def over(camera) -> str:
     """What a camera says when it has come to its end."""
+    return wait(lambda: shot_or_end(camera)[1])
 
-    def output() -> str:
-        try:
-            camera.read()
-        except CameraError as error:
-            return str(error)
-        return ""
 
-    return wait(output)
+def shot_or_end(camera) -> tuple[Shot | None, str]:
+    try:
+        return camera.read(), ""
+    except CameraError as error:
+        return None, str(error)
 
 
 @pytest.fixture(scope="module")
@@ -149,13 +161,11 @@ def test_a_folder_is_shown_in_order_and_ends(tmp_path):
     reds, began = [], time.monotonic()
 
     def ended() -> str:
-        try:
-            shot = camera.read()
-        except CameraError as error:
-            return str(error)
-        assert 0 <= shot.age_s <= 0.2 + 1e-6
-        reds.append(int(shot.image[0, 0, 0]))
-        return ""
+        shot, end = shot_or_end(camera)
+        if shot:
+            assert 0 <= shot.age_s <= 0.2 + 1e-6
+            reds.append(int(shot.image[0, 0, 0]))
+        return end
 
     assert wait(ended) == f"the 3 images of {tmp_path} have all been shown"
     assert time.monotonic() - began > 0.5
@@ -179,15 +189,12 @@ def test_a_video_is_shown_at_its_own_pace_and_ends(video):
     shown: dict[int, float] = {}
 
     def ended() -> str:
-        before = time.monotonic()
-        try:
-            shot = camera.read()
-        except CameraError as error:
-            return str(error)
-        assert shot.image.shape == (256, 256, 3)
-        assert before <= shot.time + shot.age_s <= time.monotonic()
-        shown.setdefault(round(shot.image.mean() / 20) - 1, shot.time)
-        return ""
+        before, (shot, end) = time.monotonic(), shot_or_end(camera)
+        if shot:
+            assert shot.image.shape == (256, 256, 3)
+            assert before <= shot.time + shot.age_s <= time.monotonic()
+            shown.setdefault(round(shot.image.mean() / 20) - 1, shot.time)
+        return end
 
     assert wait(ended) == f"{video} has ended"
     assert list(shown) == sorted(shown)
@@ -209,26 +216,6 @@ def test_a_slow_reader_sees_the_newest_frame(video):
     came = wait(lambda: camera._newest[1] if camera._newest[1] > first.time + 0.15 else None)
     assert camera.read().time >= came
     camera.close()
-
-
-def write_lying(path: Path, matrix: tuple[int, int, int, int], picture: np.ndarray) -> Path:
-    """A video of one still picture, whose display matrix a player has to follow."""
-    with av.open(str(path), "w", format="mp4") as container:
-        stream = container.add_stream("mpeg4", rate=10)
-        stream.width, stream.height, stream.pix_fmt = picture.shape[1], picture.shape[0], "yuv420p"
-        stream.bit_rate = 8_000_000
-        for _ in range(3):
-            for packet in stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")):
-                container.mux(packet)
-        for packet in stream.encode():
-            container.mux(packet)
-    content = bytearray(path.read_bytes())
-    place = content.index(b"tkhd") + 4 + 40
-    assert struct.unpack_from(">9i", content, place) == (1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30)
-    a, b, c, d = (65536 * value for value in matrix)
-    struct.pack_into(">9i", content, place, a, b, 0, c, d, 0, 0, 0, 1 << 30)
-    path.write_bytes(content)
-    return path
 
 
 def quarters() -> np.ndarray:
@@ -257,19 +244,13 @@ TURNS = {
 """Display matrix (a, b, c, d), and how a picture is stored that it shows upright."""
 
 
+@pytest.mark.parametrize("wide", [False, True])
 @pytest.mark.parametrize("matrix", TURNS)
-def test_a_video_is_shown_upright(tmp_path, matrix):
-    stored = np.ascontiguousarray(TURNS[matrix](quarters()))
-    camera = open_camera(str(write_lying(tmp_path / "phone.mp4", matrix, stored)), CameraConfig(at_end="loop"))
-    assert order_of(camera.read().image) == "rgbw"
-    camera.close()
-
-
-def test_a_wide_video_on_its_side_is_cropped_after_it_is_turned(tmp_path):
-    upright_picture = np.zeros((192, 128, 3), np.uint8)
-    upright_picture[32:160] = quarters()
-    stored = np.ascontiguousarray(np.rot90(upright_picture, 1))
-    camera = open_camera(str(write_lying(tmp_path / "a.mov", (0, 1, -1, 0), stored)), CameraConfig(at_end="loop"))
+def test_a_video_is_shown_upright_and_cropped_after_it_is_turned(tmp_path, matrix, wide):
+    shown = np.pad(quarters(), ((32, 32), (0, 0), (0, 0))) if wide else quarters()
+    stored = np.ascontiguousarray(TURNS[matrix](shown))
+    video = write_lying(tmp_path / ("a.mov" if wide else "phone.mp4"), matrix, stored)
+    camera = open_camera(str(video), CameraConfig(at_end="loop"))
     assert order_of(camera.read().image) == "rgbw"
     camera.close()
 
@@ -286,16 +267,12 @@ def test_a_picture_in_a_folder_is_shown_upright(tmp_path, suffix):
 
 def frames_in_order(folder: Path) -> list[int]:
     """The red of every frame of a folder, by a clock that runs as it is told."""
-    config = CameraConfig(rate_hz=1.0)
-    camera = open_camera(str(folder), config)
+    camera = open_camera(str(folder), CameraConfig(rate_hz=1.0))
     seen = []
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, contextlib.suppress(CameraError):
         for second in range(1000):
             patch.setattr(time, "monotonic", lambda now=second + 0.5: now)
-            try:
-                seen.append(int(camera.read().image[0, 0, 0]))
-            except CameraError:
-                return seen
+            seen.append(int(camera.read().image[0, 0, 0]))
     return seen
 
 
@@ -340,46 +317,36 @@ def test_a_folder_says_which_pictures_are_not_read(tmp_path):
         open_camera(str(tmp_path))
 
 
-class Server:
-    """Sends a stream over TCP to the first who connects, then falls silent until closed."""
-
-    def __init__(self, data: bytes) -> None:
-        self._server = socket.create_server(("127.0.0.1", 0))
-        self.url = f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, args=(data,))
-        self._thread.start()
-
-    def _run(self, data: bytes) -> None:
-        with self._server.accept()[0] as connection:
-            connection.sendall(data)
-            self._stop.wait(60)
-
-    def close(self) -> None:
-        self._stop.set()
-        self._thread.join()
-        self._server.close()
-
-
 @pytest.fixture
-def server(tmp_path):
-    server = Server(write_video(tmp_path / "stream.ts", frames=12).read_bytes())
-    yield server
-    server.close()
+def stream(tmp_path):
+    """A stream over TCP for the first who connects, which then falls silent until its second part is called."""
+    data = write_video(tmp_path / "stream.ts", brighter(12), format="mpegts").read_bytes()
+    with socket.create_server(("127.0.0.1", 0)) as server, ThreadPoolExecutor() as pool:
+        stop = threading.Event()
+
+        def send() -> None:
+            with server.accept()[0] as connection:
+                connection.sendall(data)
+                stop.wait(60)
+
+        pool.submit(send)
+        yield f"tcp://127.0.0.1:{server.getsockname()[1]}", stop.set
+        stop.set()
 
 
-def test_a_stream_is_read_and_its_silence_is_reported(server):
-    camera = open_camera(server.url, CameraConfig(silence_s=0.4))
+def test_a_stream_is_read_and_its_silence_is_reported(stream):
+    camera = open_camera(stream[0], CameraConfig(silence_s=0.4))
     assert camera.read().image.shape == (256, 256, 3)
     output = over(camera)
-    assert "has given no frame for" in output or f"cannot read {server.url}" in output
+    assert "has given no frame for" in output or f"cannot read {stream[0]}" in output
     camera.close()
 
 
-def test_a_stream_that_is_closed(server):
-    camera = open_camera(server.url)
-    server.close()
-    assert over(camera) == f"{server.url} was closed by the other side"
+def test_a_stream_that_is_closed(stream):
+    url, hang_up = stream
+    camera = open_camera(url)
+    hang_up()
+    assert over(camera) == f"{url} was closed by the other side"
     camera.close()
 
 

@@ -1,7 +1,5 @@
 """From messages to `Health`: what a vehicle's reports, and who else is on the link, mean for the rules."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -84,45 +82,33 @@ def test_numbers_that_are_none_are_no_news(bad):
     assert now.link_age_s == 0.0
 
 
-def test_frozen_telemetry_grows_old_although_it_keeps_coming():
-    telemetry = GOOD
-    for step in range(1, 21):
-        at = START + step * 0.05
-        telemetry = reported((at, attitude(START)), (at, position(START)), since=telemetry)
-    assert health(telemetry, START + 1).state_age_s == pytest.approx(1.0, abs=0.05)
-    # On vehicle time, a simulation may pause.
-    assert health(telemetry, START + 1, judges_time=False).state_age_s < 0.1
+def heard(times, turned, placed=None, since: Telemetry = GOOD) -> Telemetry:
+    """The telemetry after an attitude and a position at each of these times, which show the vehicle's time given."""
+    for at in START + np.asarray(times):
+        telemetry = (at, attitude(turned(at))), (at, position((placed or turned)(at)))
+        since = reported(*telemetry, since=since)
+    return since
 
 
-def test_one_frozen_message_of_two_is_enough():
-    telemetry = GOOD
-    for step in range(1, 21):
-        at = START + step * 0.05
-        telemetry = reported((at, attitude(at)), (at, position(START)), since=telemetry)
-    assert health(telemetry, START + 1).state_age_s == pytest.approx(1.0, abs=0.05)
+A_SECOND, A_MINUTE = np.arange(1, 21) / 20, np.arange(600) / 10
 
 
-def test_late_telemetry_is_as_old_as_it_is():
-    at = START + 2.0
-    telemetry = reported((at, attitude(at - 0.8)), (at, position(at - 0.8)), since=GOOD)
-    assert health(telemetry, at).state_age_s == pytest.approx(0.8, abs=0.05)
+@pytest.mark.parametrize(
+    ("times", "turned", "placed", "now", "least", "most"),
+    [
+        (A_SECOND, lambda _: START, None, 1, 0.95, 1.05),  # frozen, although it keeps coming
+        (A_SECOND, lambda at: at, lambda _: START, 1, 0.95, 1.05),  # one of the two is enough
+        ([2.0], lambda at: at - 0.8, None, 2, 0.75, 0.85),
+        (A_MINUTE, lambda at: START + 0.9995 * (at - START), None, 60, 0.0, 0.15),  # a slow clock is forgiven
+        (A_MINUTE, lambda at: at - 0.8, None, 60, 0.7, 1.0),  # lateness is not
+    ],
+)
+def test_the_state_is_as_old_as_its_messages_show_it_to_be(times, turned, placed, now, least, most):
+    assert least <= health(heard(times, turned, placed), START + now).state_age_s <= most
 
 
-def test_a_clock_that_runs_a_little_slow_is_forgiven():
-    telemetry = GOOD
-    for step in range(600):
-        at = START + step * 0.1
-        theirs = START + step * 0.1 * 0.9995
-        telemetry = reported((at, attitude(theirs)), (at, position(theirs)), since=telemetry)
-    assert health(telemetry, START + 60).state_age_s < 0.15
-
-
-def test_lateness_is_not_forgiven_in_a_flight():
-    telemetry = GOOD
-    for step in range(600):
-        at = START + step * 0.1
-        telemetry = reported((at, attitude(at - 0.8)), (at, position(at - 0.8)), since=telemetry)
-    assert health(telemetry, START + 60).state_age_s > 0.7
+def test_on_vehicle_time_a_simulation_may_pause():
+    assert health(heard(A_SECOND, lambda _: START), START + 1, judges_time=False).state_age_s < 0.1
 
 
 def test_a_restart_is_a_clock_that_goes_back():
@@ -286,11 +272,9 @@ def test_one_message_of_the_future_changes_nothing():
 
 
 def test_one_message_of_the_future_changes_nothing_either_where_the_way_becomes_a_little_faster():
-    telemetry = GOOD
-    for step in range(1, 20):  # each 1 ms faster than the one before
-        at = START + step * 0.05
-        telemetry = reported((at, attitude(at + step * 0.001)), (at, position(at + step * 0.001)), since=telemetry)
-    telemetry = reported((at, attitude(at + 9)), since=telemetry)
+    at = START + 19 * 0.05
+    faster = heard(np.arange(1, 20) / 20, lambda at: at + (at - START) * 0.02)  # each by 1 ms
+    telemetry = reported((at, attitude(at + 9)), since=faster)
     later = reported((at + 0.05, attitude(at + 0.07)), (at + 0.05, position(at + 0.07)), since=telemetry)
     assert not health(later, at + 0.05).restarted
     assert health(later, at + 0.05).state_age_s < 0.05
@@ -318,15 +302,9 @@ def test_a_simulation_that_runs_fast_is_followed(speed):
 
 
 def test_a_way_that_has_become_faster_is_believed_when_that_lasts():
-    slow = GOOD
-    for step in range(20):
-        at = START + step * 0.05
-        slow = reported((at, attitude(at - 0.5)), (at, position(at - 0.5)), since=slow)
+    slow = heard(np.arange(20) / 20, lambda at: at - 0.5)
     slow = replace(slow, clock_offset=slow.clock_offset + 0.5)  # as if it had been slow from its start
-    fast = slow
-    for step in range(20, 30):
-        at = START + step * 0.05
-        fast = reported((at, attitude(at)), (at, position(at)), since=fast)
+    fast, at = heard(np.arange(20, 30) / 20, lambda at: at, since=slow), START + 29 / 20
     assert fast.position_time == pytest.approx(at - START + 5)
     slow_again = reported((at + 0.6, attitude(at)), (at + 0.6, position(at)), since=fast)
     assert health(slow_again, at + 0.6).state_age_s == pytest.approx(0.6, abs=0.01)

@@ -1,7 +1,5 @@
 """Heartbeats that are not the vehicle's, or not its newest: one proves nothing, and a pilot's are believed in time."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

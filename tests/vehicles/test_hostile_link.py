@@ -3,11 +3,9 @@
 All that the rules judge by is decoded, nothing grows without end, and nothing steers.
 """
 
-from __future__ import annotations
-
 import random
 import tracemalloc
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -57,21 +55,16 @@ def test_a_vehicle_that_takes_signed_packets_alone_is_said_to(monkeypatch):
         assert not peer.part.armed
 
 
-def flood(kind: str) -> Iterator[tuple[bytes, int]]:
-    """Packets that reach a connection, with their senders."""
-    for number in range(COUNT):
-        match kind:
-            case "parameters":
-                yield packed(m.MAVLink_param_value_message(f"P{number}".encode(), 1.0, 9, COUNT, number)), VEHICLE
-            case "acknowledgements":
-                yield packed(m.MAVLink_command_ack_message(number, 0)), VEHICLE
-            case "mission items":
-                item = m.MAVLink_mission_item_int_message(255, 191, number, 3, 16, 2, 1, 0, 0, 0, 0, 1, 2, 3.0)
-                yield packed(item), VEHICLE
-            case "ground stations":
-                yield packed(GCS_BEAT, 2 + number % 250, 1 + number // 250), VEHICLE
-            case "status texts":
-                yield packed(m.MAVLink_statustext_message(3, f"text {number}".encode())), VEHICLE
+FLOODS: dict[str, Callable[[int], bytes]] = {
+    "parameters": lambda n: packed(m.MAVLink_param_value_message(f"P{n}".encode(), 1.0, 9, COUNT, n)),
+    "acknowledgements": lambda n: packed(m.MAVLink_command_ack_message(n, 0)),
+    "mission items": lambda n: packed(
+        m.MAVLink_mission_item_int_message(255, 191, n, 3, 16, 2, 1, *[0] * 4, 1, 2, 3.0)
+    ),
+    "ground stations": lambda n: packed(GCS_BEAT, 2 + n % 250, 1 + n // 250),
+    "status texts": lambda n: packed(m.MAVLink_statustext_message(3, f"text {n}".encode())),
+}
+"""Packets that reach a connection, by their numbers."""
 
 
 def held() -> int:
@@ -80,20 +73,16 @@ def held() -> int:
     return sum(line.size for line in tracemalloc.take_snapshot().filter_traces(ours).statistics("filename"))
 
 
-@pytest.mark.parametrize("kind", ["parameters", "acknowledgements", "mission items", "ground stations", "status texts"])
+@pytest.mark.parametrize("kind", FLOODS)
 def test_a_flood_at_the_client_fills_no_memory(kind):
     link, transport = connected()
-    packets = list(flood(kind))
-
-    def take(some: list[tuple[bytes, int]]) -> None:
-        for packet, peer in some:
-            transport.feed(packet, peer)
-            link.step(0.0)
+    packets = [FLOODS[kind](number) for number in range(COUNT)]
 
     try:
-        take(packets[: COUNT // 10])
-        tracemalloc.start()
-        take(packets[COUNT // 10 :])
+        for number, packet in enumerate(packets):
+            if number == COUNT // 10:
+                tracemalloc.start()
+            transport.hear(packet)
         grown = held()
     finally:
         tracemalloc.stop()
@@ -104,17 +93,14 @@ def test_a_flood_at_the_client_fills_no_memory(kind):
 def test_an_answer_that_was_asked_for_is_kept_in_a_flood():
     link, transport = connected()
     link.send_parameter("FS_OPTIONS", 16.0)
-    for packet, peer in list(flood("parameters"))[:100]:
-        transport.feed(packet, peer)
-        link.step(0.0)
-    transport.feed(packed(m.MAVLink_param_value_message(b"FS_OPTIONS", 16.0, 9, 1, 0)), VEHICLE)
-    link.step(0.0)
+    for number in range(100):
+        transport.hear(FLOODS["parameters"](number))
+    transport.hear(packed(m.MAVLink_param_value_message(b"FS_OPTIONS", 16.0, 9, 1, 0)))
     assert link.reported_parameter("FS_OPTIONS") == 16.0
     assert link.reported_parameter("P1") is None
     link.send_parameter("FS_OPTIONS", 16.0)
     for value in (float("nan"), float("inf")):
-        transport.feed(packed(m.MAVLink_param_value_message(b"FS_OPTIONS", value, 9, 1, 0)), VEHICLE)
-        link.step(0.0)
+        transport.hear(packed(m.MAVLink_param_value_message(b"FS_OPTIONS", value, 9, 1, 0)))
         assert link.reported_parameter("FS_OPTIONS") is None  # as if it had not answered
     link.close()
 
@@ -189,8 +175,7 @@ def test_a_vehicle_may_move_but_what_queued_up_during_a_stop_of_ours_is_no_move(
     link, transport = connected()
 
     def hear(message: m.MAVLink_message, peer: int) -> str:
-        transport.feed(packed(message), peer)
-        link.step(0.0)
+        transport.hear(packed(message), peer)
         return link.telemetry.mode
 
     monkeypatch.setattr(connection, "MOVED_S", 0.0)
@@ -214,10 +199,8 @@ def test_nothing_but_counters_change():
     before = held_true(link)
     for number, (packet, peer) in enumerate(strangers(random.Random(5), 2000)):
         if number % 20 == 0:
-            transport.feed(packed(BEAT), VEHICLE)
-            link.step(0.0)
-        transport.feed(packet, peer)
-        link.step(0.0)
+            transport.hear(packed(BEAT))
+        transport.hear(packet, peer)
         link.check()
     assert held_true(link) == before
     assert link.traffic.broken > 500
@@ -230,8 +213,7 @@ def test_whatever_the_vehicle_itself_says_the_rules_have_an_answer():
     link, transport = connected()
     rng, memory, config = random.Random(6), Memory(), SafetyConfig()
     for number in range(2000):
-        transport.feed(random_packet(rng, 1, 1, set()), VEHICLE)
-        link.step(0.0)
+        transport.hear(random_packet(rng, 1, 1, set()))
         link.check()
         asked = Asked(number * 0.02, np.ones(4), 0.0, 0.0, frozenset({link.telemetry.mode}))
         health = health_of(link.telemetry, link.traffic, Baseline(), asked, link.telemetry.received_at)

@@ -1,8 +1,5 @@
 """PX4, played by its documentation's rules: offboard control, its failsafes, its parameters, its pilot."""
 
-from __future__ import annotations
-
-import threading
 import time
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -103,21 +100,6 @@ def test_the_pilot_wins_for_good(mode):
             time.sleep(0.3)
         assert peer.modes_ordered(since=taken) == []
         assert not [at for at in setpoint_times(peer) if at > seen + 0.1]
-
-
-def test_the_pilot_wins_in_the_climb():
-    with playing_px4(climbs=False) as peer, connect(peer) as drone:
-
-        def pilot() -> None:
-            soon(lambda: peer.part.armed)
-            peer.part.mode = MODES["POSCTL"]
-
-        thread = threading.Thread(target=pilot)
-        thread.start()
-        with pytest.raises(LinkError, match="taken over during take-off: the vehicle is in POSCTL"):
-            drone.take_off(lambda _: True)
-        thread.join()
-        assert peer.part.mode == MODES["POSCTL"]
 
 
 def test_sticks_that_move_give_control():

@@ -1,7 +1,5 @@
 """ArduCopter 4.7 renamed, rescaled and inverted parameters that safety rests on: each vehicle in its own words."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
@@ -42,6 +40,7 @@ def test_what_is_set_with_consent_is_set_and_put_back_under_the_new_name():
             pytest.raises(LinkError, match=r"--set-parameters sets MAV_GCS_SYSID, ARMING_SKIP"),
         ):
             drone.take_off(lambda _: True)
+        assert peer.of("PARAM_SET") == []
         with connect(peer, replace(SURE, set_parameters=True)) as drone:
             assert not drone.checklist().bad
             assert peer.part.parameters == PARAMETERS_4_7

@@ -1,7 +1,5 @@
 """The physics server, with a scripted autopilot at the other end of a real UDP socket."""
 
-from __future__ import annotations
-
 import json
 import socket
 import struct
@@ -254,13 +252,15 @@ def test_control_is_called_ten_times_a_second() -> None:
     assert times == pytest.approx([1 / RATE, *np.arange(1, 10) / 10], abs=1e-6)
 
 
-def high(velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> DroneState:
-    return DroneState(np.array([0.0, 0.0, 50.0]), np.array(velocity), quaternion_from_yaw(0.0), np.zeros(3))
+def high(velocity: tuple[float, float, float] = (0.0, 0.0, 0.0), **options: Any) -> Plant:
+    """A drone in level flight, far above the ground."""
+    plant = Plant(**options)
+    plant.place(DroneState(np.array([0.0, 0.0, 50.0]), np.array(velocity), quaternion_from_yaw(0.0), np.zeros(3)))
+    return plant
 
 
 def test_free_fall_is_felt_as_drag_alone() -> None:
-    plant = Plant()
-    plant.place(high())
+    plant = high()
     first = plant.step(OFF, 1 / RATE)
     assert first.accelerometer == pytest.approx([0, 0, 0], abs=0.01)
     for _ in range(10 * RATE):
@@ -273,8 +273,7 @@ def test_free_fall_is_felt_as_drag_alone() -> None:
 
 
 def test_energy_is_lost_to_the_air_alone() -> None:
-    plant = Plant()
-    plant.place(high((6.0, 0.0, 4.0)))
+    plant = high((6.0, 0.0, 4.0))
 
     def energy() -> float:
         state = plant.state()
@@ -289,13 +288,11 @@ def test_energy_is_lost_to_the_air_alone() -> None:
 
 
 def test_wind_carries_and_rotors_lag() -> None:
-    plant = Plant(wind=(3.0, 0.0, 0.0))
-    plant.place(high())
+    plant = high(wind=(3.0, 0.0, 0.0))
     for _ in range(RATE):
         plant.step(HOVER, 1 / RATE)
     assert plant.state().velocity[0] > 0.3
-    still = Plant()
-    still.place(high())
+    still = high()
     thrusts = [-float(still.step((2000,) * 4, 1 / RATE).accelerometer[2]) for _ in range(round(0.15 * RATE))]
     full = 4 * IRIS.max_thrust / IRIS.mass
     after_one_lag = thrusts[round(IRIS.motor_lag * RATE)]
@@ -304,8 +301,7 @@ def test_wind_carries_and_rotors_lag() -> None:
 
 @pytest.mark.parametrize("motor", range(4))
 def test_each_motor_turns_it_as_its_place_says(motor: int) -> None:
-    plant = Plant()
-    plant.place(high())
+    plant = high()
     commands = [1500] * 4
     commands[motor] = 1700
     for _ in range(120):

@@ -1,7 +1,5 @@
 """ArduCopter as an external flight: with a vehicle that our own autopilot plays, with a process, for real."""
 
-from __future__ import annotations
-
 import subprocess
 from dataclasses import replace
 from pathlib import Path

@@ -1,10 +1,9 @@
 """The simulated vehicle, flown by pymavlink over real sockets. Time is stepped, nothing sleeps."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Iterator
+from typing import Self
 
 import numpy as np
 import pytest
@@ -64,6 +63,11 @@ class Client:
         assert ack.command == number
         return ack.result
 
+    def set(self, **parameters: float) -> None:
+        for name, value in parameters.items():
+            self.mav.param_set_send(1, 1, name.encode(), value, m.MAV_PARAM_TYPE_REAL32)
+            self.run(0.05)
+
     def texts(self) -> str:
         return "\n".join(message.text for message in self.seen if message.get_type() == "STATUSTEXT")
 
@@ -76,7 +80,7 @@ class Client:
             self.local(frame, VELOCITY, v=v, rate=rate)
             self.run(0.1)
 
-    def airborne(self, height: float = 1.5) -> Client:
+    def airborne(self, height: float = 1.5) -> Self:
         assert self.command(m.MAV_CMD_DO_SET_MODE, 1, Mode.GUIDED) == m.MAV_RESULT_ACCEPTED
         assert self.command(m.MAV_CMD_COMPONENT_ARM_DISARM, 1) == m.MAV_RESULT_ACCEPTED
         assert self.command(m.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, height) == m.MAV_RESULT_ACCEPTED
@@ -284,9 +288,7 @@ def test_disarms_itself_on_the_ground(client: Client) -> None:
 
 def test_fences_act(client: Client) -> None:
     client.airborne()
-    for name, value in (("FENCE_RADIUS", 2.0), ("FENCE_ACTION", 4.0), ("FENCE_ENABLE", 1.0)):
-        client.mav.param_set_send(1, 1, name.encode(), value, m.MAV_PARAM_TYPE_REAL32)
-        client.run(0.05)
+    client.set(FENCE_RADIUS=2.0, FENCE_ACTION=4.0, FENCE_ENABLE=1.0)
     client.fly(2.0, v=(1.0, 0.0, 0.0))
     assert client.vehicle.modes.mode == Mode.GUIDED
     client.fly(1.5, v=(1.0, 0.0, 0.0))
@@ -294,19 +296,10 @@ def test_fences_act(client: Client) -> None:
     assert "Fence breached: circle" in client.texts()
 
 
-def test_the_silence_of_the_ground_station_counts_where_asked(client: Client) -> None:
-    client.airborne()
-    client.mav.param_set_send(1, 1, b"FS_GCS_ENABLE", 5.0, m.MAV_PARAM_TYPE_REAL32)
-    client.heartbeat()
-    client.run(4.5)
-    assert client.vehicle.modes.mode == Mode.GUIDED
-    client.run(1.0)
-    assert client.vehicle.modes.mode == Mode.LAND
-
-
 @pytest.mark.parametrize(
     ("mode", "options", "after"),
     [
+        (Mode.GUIDED, 16.0, Mode.LAND),
         (Mode.LOITER, 16.0, Mode.LOITER),
         (Mode.BRAKE, 16.0, Mode.BRAKE),
         (Mode.RTL, 16.0, Mode.LAND),
@@ -314,20 +307,23 @@ def test_the_silence_of_the_ground_station_counts_where_asked(client: Client) ->
         (Mode.BRAKE, 0.0, Mode.LAND),
     ],
 )
-def test_what_a_pilot_flies_goes_on_where_asked(client: Client, mode: Mode, options: float, after: Mode) -> None:
+def test_the_silence_of_the_ground_station_counts_and_what_a_pilot_flies_goes_on_where_asked(
+    client: Client, mode: Mode, options: float, after: Mode
+) -> None:
     client.airborne()
-    for name, value in (("FS_GCS_ENABLE", 5.0), ("FS_OPTIONS", options)):
-        client.mav.param_set_send(1, 1, name.encode(), value, m.MAV_PARAM_TYPE_REAL32)
+    client.set(FS_GCS_ENABLE=5.0, FS_OPTIONS=options)
     client.heartbeat()
     client.run(0.1)
     client.vehicle.pilot(mode)
-    client.run(5.5)
+    client.run(4.4)
+    assert client.vehicle.modes.mode == mode
+    client.run(1.0)
     assert client.vehicle.modes.mode == after
 
 
 def test_a_low_battery_acts_where_asked(client: Client) -> None:
     client.airborne()
-    client.mav.param_set_send(1, 1, b"BATT_FS_LOW_ACT", 1.0, m.MAV_PARAM_TYPE_REAL32)
+    client.set(BATT_FS_LOW_ACT=1.0)
     client.vehicle.battery = 0.1
     client.run(9.5)
     assert client.vehicle.modes.mode == Mode.GUIDED

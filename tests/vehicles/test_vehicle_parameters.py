@@ -1,7 +1,5 @@
 """Parameters are put back after the flight, whatever ends it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -63,10 +61,13 @@ def test_all_is_put_back(changed, journal):
     assert changes.put_back(table) == ()
 
 
-def test_a_killed_flight_is_put_back_at_the_next_start(changed, journal):
+@pytest.mark.parametrize("second", [{}, {"GUID_TIMEOUT": 0.2}])
+def test_a_killed_flight_is_put_back_at_the_next_start_and_by_a_second_flight(changed, journal, second):
     _, table = changed
     again = ParameterChanges(journal)
     assert set(again.open) == set(WANTED)
+    if second:
+        again.make(table, dict(WANTED), second)
     again.put_back(table)
     assert table.values == BEFORE
 
@@ -86,14 +87,6 @@ def test_what_somebody_changed_meanwhile_stays_theirs(changed):
     table.values["FS_GCS_ENABLE"] = 1.0
     changes.put_back(table)
     assert table.values == {**BEFORE, "FS_GCS_ENABLE": 1.0}
-
-
-def test_a_second_flight_keeps_what_was_before_the_first(changed, journal):
-    _, table = changed
-    again = ParameterChanges(journal)
-    again.make(table, dict(WANTED), {"GUID_TIMEOUT": 0.2})
-    again.put_back(table)
-    assert table.values == BEFORE
 
 
 def test_while_the_pilot_flies_only_what_acts_by_itself_goes(changed, journal):

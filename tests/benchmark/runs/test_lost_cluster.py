@@ -93,20 +93,29 @@ def pool() -> RayPool[int, str]:
     return RayPool(work, 1, 1)
 
 
-def test_what_ray_itself_raises_is_one_sentence_with_the_way_out(play):
+DEAD = RayError("the agent of this node has died")
+OWN = RuntimeError("The node with node id: 12ab\nhas been marked dead because the agent failed")
+
+
+@pytest.mark.parametrize(
+    ("answers", "says"),
+    [
+        ({"fly": OWN, "kill": "fails"}, r"^the Ray cluster has failed; continue .* \(RuntimeError: The node"),
+        ({"fly": RayTaskError(DEAD)}, f"episode 1 has lost its worker {LOSSES} times; continue"),
+        ({"open": DEAD}, "no worker of the Ray cluster becomes ready; continue"),
+    ],
+    ids=["Ray's own", "every node fails", "no worker opens"],
+)
+def test_what_ends_a_cluster_is_one_sentence_with_the_way_out(play, answers, says):
     def answer(name, _):
-        if name == "fly":
-            raise RuntimeError("The node with node id: 12ab\nhas been marked dead because the agent failed")
-        return "fails" if name == "kill" else None
+        if isinstance(answers.get(name), Exception):
+            raise answers[name]
+        return answers.get(name)
 
     play(answer)
-    with (
-        pytest.raises(
-            RunError, match=r"^the Ray cluster has failed; continue with --resume .* \(RuntimeError: The node"
-        ),
-        pool() as flying,
-    ):
-        list(flying.fly([1, 2]))
+    with pytest.raises(RunError, match=says) as told, pool() as flying:
+        list(flying.fly([1]))
+    assert "continue with --resume" in str(told.value)
 
 
 def test_an_episode_on_a_node_that_fails_is_flown_again(play):
@@ -122,27 +131,6 @@ def test_an_episode_on_a_node_that_fails_is_flown_again(play):
     with pool() as flying:
         assert sorted(flying.fly([1, 2])) == [("flown 1", ""), ("flown 2", "")]
     assert ray.actors == 2
-
-
-def test_one_that_fails_on_every_node_ends_the_run_with_the_way_out(play):
-    def answer(name, _):
-        if name == "fly":
-            raise RayTaskError(RayError("the agent of this node has died"))
-        return
-
-    play(answer)
-    says = f"episode 1 has lost its worker {LOSSES} times; continue with --resume"
-    with pytest.raises(RunError, match=says), pool() as flying:
-        list(flying.fly([1]))
-
-
-def test_no_node_that_opens_a_worker_ends_it_too(play):
-    def answer(name, _):
-        raise RayError("the agent of this node has died")
-
-    play(lambda name, item: None if name == "kill" else answer(name, item))
-    with pytest.raises(RunError, match="no worker of the Ray cluster becomes ready; continue with --resume"), pool():
-        pass
 
 
 @pytest.mark.parametrize(

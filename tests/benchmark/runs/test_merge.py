@@ -13,7 +13,7 @@ from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.runs import records
 from cognitivedrone.benchmark.runs.merge import merge
 from cognitivedrone.benchmark.runs.records import read_records
-from cognitivedrone.benchmark.runs.runner import command_of, out_of, run
+from cognitivedrone.benchmark.runs.runner import command_of, run
 from cognitivedrone.benchmark.scores.results import read_results
 from cognitivedrone.errors import RunError
 from cognitivedrone.tasks import load_suite, write_tasks
@@ -141,22 +141,6 @@ def test_a_whole_run_is_no_shard_and_the_shards_stay(config, parts, tmp_path):
     with pytest.raises(RunError, match="is one of the shards"):
         merge(parts, parts[0], overwrite=True)
     assert merge(parts, config.out, overwrite=True).timing.episodes_flown == 20
-
-
-@pytest.mark.parametrize("text", ["0/3", "4/3", "2", "2/", "1/0", "a/b", "-1/3", "1/2/3", "02/8", "1/10000000"])
-def test_what_is_no_shard_is_refused_before_anything_is_written(config, text):
-    with pytest.raises(RunError, match=r"--shard is .*; give i/n"):
-        run(config.changed(shard=text), progress=False, runner=RUNNER)
-    assert not config.out.exists()
-
-
-def test_a_shard_without_episodes_is_refused(config):
-    with pytest.raises(RunError, match="--shard 21/21 has no episode"):
-        run(config.changed(shard="21/21"), progress=False, runner=RUNNER)
-
-
-def test_a_shard_has_a_folder_of_its_own(config):
-    assert out_of(Plan.of(shard="2/8")) == Path("results/open-v1-test-small-none-shard-2-of-8")
 
 
 def test_links_among_the_errors_of_a_shard_are_left_out(config, parts, tmp_path):

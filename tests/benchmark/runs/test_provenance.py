@@ -22,19 +22,17 @@ def own(tmp_path, monkeypatch):
         sys.modules.pop(name, None)
 
 
-def test_an_own_policy_is_reported_with_its_file_and_how_to_find_it(own):
-    facts = platform_facts("cognitivedrone bench --policy straight_on:Straight", "straight_on:Straight", "none")
-    assert facts["policy_file"] == "my code/straight_on.py"
-    words = shlex.split(facts["command"])
-    assert words[:3] == ["PYTHONPATH=my code", "cognitivedrone", "bench"]
-    assert "reasoner_file" not in facts
-
-
-def test_modules_of_packages_are_found_from_the_packages_folder(own):
-    facts = platform_facts("cognitivedrone bench", "small", "pilots.best:Best")
-    assert facts["reasoner_file"] == "my code/pilots/best.py"
-    assert shlex.split(facts["command"])[0] == "PYTHONPATH=my code"
-    assert "policy_file" not in facts
+@pytest.mark.parametrize(
+    ("policy", "reasoner", "key", "file"),
+    [
+        ("straight_on:Straight", "none", "policy_file", "my code/straight_on.py"),
+        ("small", "pilots.best:Best", "reasoner_file", "my code/pilots/best.py"),  # found from the package's folder
+    ],
+)
+def test_an_own_module_is_reported_with_its_file_and_how_to_find_it(own, policy, reasoner, key, file):
+    facts = platform_facts(f"cognitivedrone bench --policy {policy}", policy, reasoner)
+    assert {name: facts[name] for name in ("policy_file", "reasoner_file") if name in facts} == {key: file}
+    assert shlex.split(facts["command"])[:3] == ["PYTHONPATH=my code", "cognitivedrone", "bench"]
 
 
 @pytest.mark.parametrize("policy", ["small", "small:weights.onnx", "no_such_module:Policy", "json:loads"])

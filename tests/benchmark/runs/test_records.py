@@ -55,30 +55,36 @@ def test_a_line_cut_short_by_a_kill_is_dropped_and_the_file_goes_on_soundly(fold
     assert sorted(read_records(folder)) == [0, 1, 2, 3]
 
 
-def test_a_changed_line_is_found_by_its_checksum(folder, facts):
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda line: line["record"]["result"]["stages"][0].update(time_s=1.0), "line 2 does not match its checksum"),
+        (lambda line: line.pop("run"), "line 2 .*does not say of which run it is"),
+    ],
+)
+def test_a_line_that_was_changed_or_names_no_run_is_refused(folder, facts, change, says):
     file = folder / EPISODES_FILE
     lines = file.read_text().splitlines(keepends=True)
-    record = json.loads(lines[1])
-    record["record"]["result"]["stages"][0]["time_s"] = 1.0
-    lines[1] = json.dumps(record) + "\n"
-    file.write_text("".join(lines))
-    with pytest.raises(RunError, match=r"episodes\.jsonl line 2 does not match its checksum"):
+    line = json.loads(lines[1])
+    change(line)
+    file.write_text("".join([lines[0], json.dumps(line) + "\n", *lines[2:]]))
+    with pytest.raises(RunError, match=rf"episodes\.jsonl {says}"):
         RunFolder(folder, facts, resume=True)
 
 
-def test_a_folder_that_holds_a_run_is_not_overwritten_unasked(folder, facts):
+@pytest.mark.parametrize(
+    ("resume", "change", "says"),
+    [
+        (False, {}, "already contains a run; give --resume"),
+        (True, {"policy": "other"}, "policy is 'fake' there and 'other' here"),
+        (True, {"options": {"seed": 1}}, r"options\.seed is 0 there and 1 here"),
+    ],
+)
+def test_a_run_is_not_overwritten_unasked_and_resume_refuses_another(folder, facts, resume, change, says):
     before = (folder / EPISODES_FILE).read_bytes()
-    with pytest.raises(RunError, match="already contains a run; give --resume"):
-        RunFolder(folder, facts)
-    assert (folder / EPISODES_FILE).read_bytes() == before
-
-
-def test_resume_refuses_another_run_and_says_what_differs(folder, facts):
-    before = (folder / EPISODES_FILE).read_bytes()
-    with pytest.raises(RunError, match="policy is 'fake' there and 'other' here"):
-        RunFolder(folder, replace(facts, policy="other"), resume=True)
-    with pytest.raises(RunError, match=r"options\.seed is 0 there and 1 here"):
-        RunFolder(folder, replace(facts, options={**facts.options, "seed": 1}), resume=True)
+    change = change | {name: facts.options | change[name] for name in ("options",) if name in change}
+    with pytest.raises(RunError, match=says):
+        RunFolder(folder, replace(facts, **change), resume=resume)
     assert (folder / EPISODES_FILE).read_bytes() == before
 
 
@@ -175,15 +181,6 @@ def test_a_line_of_another_run_is_refused(folder, facts, flown, tmp_path):
     for read in (lambda: RunFolder(folder, facts, resume=True), lambda: read_records(folder)):
         with pytest.raises(RunError, match=r"line 4 is of another run"):
             read()
-
-
-def test_a_line_that_names_no_run_is_refused(folder, facts):
-    lines = (folder / EPISODES_FILE).read_text().splitlines()
-    document = json.loads(lines[0])
-    del document["run"]
-    (folder / EPISODES_FILE).write_text(json.dumps(document) + "\n")
-    with pytest.raises(RunError, match="does not say of which run it is"):
-        RunFolder(folder, facts, resume=True)
 
 
 @pytest.mark.parametrize(

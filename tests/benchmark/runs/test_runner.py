@@ -97,10 +97,28 @@ def test_ctrl_c_with_workers_ends_them_quietly(config):
     assert results.summary().overall.n == 20
 
 
-def test_a_worker_that_dies_is_reported_with_its_episode_and_the_rest_is_kept(config):
-    with pytest.raises(RunError, match=r"episode 5 \(open-v1:train/0-5\) was killed by SIGKILL.*--resume"):
-        run(config.changed(workers=2), progress=False, runner=benchmark_fakes.DyingRunner)
-    assert set(read_records(config.out)) >= {0, 1, 2, 3}
+@pytest.mark.parametrize(
+    ("change", "runner", "says"),
+    [
+        ({"workers": 2}, "DyingRunner", r"episode 5 \(open-v1:train/0-5\) was killed by SIGKILL.*--resume"),
+        ({"workers": 1}, "LeavingRunner", r"the worker of episode 5 .* ended with exit code 0; continue with --resume"),
+        ({"workers": 2}, "BuggyRunner", r"episode 5 .* failed: ZeroDivisionError: a bug in a policy.*error\.txt"),
+        (
+            {"fail_fast": True},
+            "RaisingRunner",
+            r"episode 5: the reasoner raised an exception; its traceback is in .*0005\.txt",
+        ),
+    ],
+)
+def test_what_ends_a_run_is_reported_with_its_episode_and_the_rest_is_kept(config, change, runner, says):
+    with pytest.raises(RunError, match=says):
+        run(config.changed(**change), progress=False, runner=getattr(benchmark_fakes, runner))
+    kept = set(read_records(config.out))
+    assert {0, 1, 2, 3} <= kept
+    assert 5 not in kept
+    assert kept == {0, 1, 2, 3, 4} or "workers" in change
+    assert runner != "BuggyRunner" or "benchmark_fakes.py" in (config.out / "error.txt").read_text()
+    assert not (config.out / "results.json").exists()
     assert run(config.changed(resume=True), progress=False, runner=RUNNER).summary().overall.n == 20
 
 
@@ -127,19 +145,6 @@ def test_a_worker_that_a_policy_takes_down_costs_one_episode(config, runner, say
     assert [e for e in results.episodes if e.episode != 5] == [e for e in whole.episodes if e.episode != 5]
 
 
-def test_a_worker_that_leaves_on_its_own_never_ends_a_run_well(config):
-    with pytest.raises(RunError, match=r"the worker of episode 5 .* ended with exit code 0; continue with --resume"):
-        run(config.changed(workers=1), progress=False, runner=benchmark_fakes.LeavingRunner)
-    assert not (config.out / "results.json").exists()
-
-
-def test_fail_fast_stops_at_the_first_exception_and_records_nothing_of_its_episode(config):
-    with pytest.raises(RunError, match=r"episode 5: the reasoner raised an exception; its traceback is in .*0005\.txt"):
-        run(config.changed(fail_fast=True), progress=False, runner=benchmark_fakes.RaisingRunner)
-    assert sorted(read_records(config.out)) == [0, 1, 2, 3, 4]
-    assert run(config.changed(resume=True), progress=False, runner=RUNNER).summary().overall.n == 20
-
-
 def test_a_pilot_that_cannot_be_made_costs_no_earlier_run(config):
     run(config, progress=False, runner=RUNNER)
     before = lasting(config.out)
@@ -155,21 +160,17 @@ def test_overwriting_takes_old_tracebacks_away(config):
     assert not (config.out / "errors").exists()
 
 
-def test_a_bug_in_a_worker_is_reported_with_its_episode_and_its_traceback_is_kept(config):
-    with pytest.raises(RunError, match=r"episode 5 .* failed: ZeroDivisionError: a bug in a policy.*error\.txt"):
-        run(config.changed(workers=2), progress=False, runner=benchmark_fakes.BuggyRunner)
-    assert "benchmark_fakes.py" in (config.out / "error.txt").read_text()
-
-
-def test_a_worker_that_cannot_start_is_reported(config):
-    with pytest.raises(RunError, match="a worker ended with exit code 3 before it was ready; bench --workers 0"):
-        run(config.changed(workers=2), progress=False, runner=benchmark_fakes.StillbornRunner)
-
-
-@pytest.mark.parametrize("workers", [0, 2])
-def test_an_error_of_ours_arrives_as_its_own_sentence(config, workers):
-    with pytest.raises(CognitiveDroneError, match=r"^label 'zebr' is not in the pack; did you mean 'zebra'\?$"):
-        run(config.changed(workers=workers), progress=False, runner=benchmark_fakes.UnlabelledRunner)
+@pytest.mark.parametrize(
+    ("workers", "runner", "says"),
+    [
+        (2, "StillbornRunner", "a worker ended with exit code 3 before it was ready; bench --workers 0"),
+        (0, "UnlabelledRunner", r"^label 'zebr' is not in the pack; did you mean 'zebra'\?$"),
+        (2, "UnlabelledRunner", r"^label 'zebr' is not in the pack; did you mean 'zebra'\?$"),
+    ],
+)
+def test_a_worker_that_cannot_start_is_reported_in_its_own_words(config, workers, runner, says):
+    with pytest.raises(CognitiveDroneError, match=says):
+        run(config.changed(workers=workers), progress=False, runner=getattr(benchmark_fakes, runner))
 
 
 @pytest.mark.parametrize(
@@ -181,6 +182,12 @@ def test_an_error_of_ours_arrives_as_its_own_sentence(config, workers):
         ({"executor": "ray", "workers": 2, "cpus_per_worker": 0}, "--cpus-per-worker is 0"),
         ({"executor": "ray", "workers": 2, "gpus_per_worker": -1.0}, r"--gpus-per-worker is -1\.0"),
         ({"resume": True, "overwrite": True}, "contradict each other"),
+        ({"latency": "soon"}, "cannot read 'soon'"),
+        ({"shard": "21/21"}, "--shard 21/21 has no episode"),
+        *(
+            ({"shard": text}, "--shard is .*; give i/n")
+            for text in ("0/3", "4/3", "2", "2/", "1/0", "a/b", "-1/3", "1/2/3", "02/8", "1/10000000")
+        ),
         ({"gpus_per_worker": 1.0}, "--cpus-per-worker and --gpus-per-worker are for --executor ray"),
         ({"executor": "ray", "workers": None, "link": "gazebo", "airframe": "iris"}, "flies the one vehicle"),
     ],
@@ -198,24 +205,17 @@ def test_without_ray_the_extra_is_named_before_anything_is_written(config, monke
     assert not config.out.exists()
 
 
-def test_other_labels_are_another_run(config, tmp_path):
-    labels = tmp_path / "labels"
-    (labels / "toy").mkdir(parents=True)
-    (labels / "toy" / "cat.png").write_bytes(b"a cat")
-    run(config.changed(labels=labels), progress=False, runner=RUNNER)
-    (labels / "toy" / "cat.png").write_bytes(b"a dog")
-    with pytest.raises(RunError, match=r"options\.labels is"):
-        run(config.changed(labels=labels, resume=True), progress=False, runner=RUNNER)
-
-
-def test_another_model_in_the_same_file_is_another_run(config, tmp_path):
-    file, eyes = tmp_path / "model.onnx", tmp_path / "eyes.onnx"
-    file.write_bytes(b"head")
-    eyes.write_bytes(b"first")
-    flown = config.changed(policy=f"small:{file}")
+@pytest.mark.parametrize(("option", "changed"), [("labels", "toy/cat.png"), ("model", "eyes.onnx")])
+def test_other_labels_or_another_model_in_the_same_file_are_another_run(config, tmp_path, option, changed):
+    (tmp_path / "toy").mkdir()
+    for name in ("toy/cat.png", "model.onnx", "eyes.onnx"):
+        (tmp_path / name).write_bytes(b"first")
+    flown = config.changed(
+        **({"labels": tmp_path} if option == "labels" else {"policy": f"small:{tmp_path}/model.onnx"})
+    )
     run(flown, progress=False, runner=RUNNER)
-    eyes.write_bytes(b"second")
-    with pytest.raises(RunError, match=r"options\.model is"):
+    (tmp_path / changed).write_bytes(b"second")
+    with pytest.raises(RunError, match=rf"options\.{option} is"):
         run(replace(flown, resume=True), progress=False, runner=RUNNER)
 
 
@@ -250,10 +250,15 @@ def test_the_first_episodes_are_the_same_however_many_follow(config, tmp_path):
     assert lasting(config.out)["episodes"][:3] == lasting(tmp_path / "short")["episodes"]
 
 
-def test_the_folder_is_named_after_suite_and_pilot():
-    assert out_of(Plan.of(suite="open-v1:test", policy="my.module:Mine", reasoner="oracle")) == Path(
-        "results/open-v1-test-my.module-Mine-oracle"
-    )
+@pytest.mark.parametrize(
+    ("options", "folder"),
+    [
+        ({"policy": "my.module:Mine", "reasoner": "oracle"}, "results/open-v1-test-my.module-Mine-oracle"),
+        ({"shard": "2/8"}, "results/open-v1-test-small-none-shard-2-of-8"),
+    ],
+)
+def test_the_folder_is_named_after_suite_pilot_and_shard(options, folder):
+    assert out_of(Plan.of(**options)) == Path(folder)
 
 
 def test_workers_do_not_outlive_a_run(config):

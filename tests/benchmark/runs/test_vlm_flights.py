@@ -19,21 +19,22 @@ OTHER = TASK.gates[(TASK.target + 1) % 3]
 pytestmark = pytest.mark.usefixtures("no_vlm_settings")
 
 
-def flown(script, out, timeout=60.0, latency="none"):
-    """The result of the only stage, and the warnings that were said."""
+def flown(script, out, suite="open-v1:smoke", timeout=60.0, latency="none"):
+    """The only episode, and the warnings that were said."""
     with serving(script) as url, warnings.catch_warnings(record=True) as expected:
         warnings.simplefilter("always")
         config = Plan.of(
-            policy="colour_seeker", reasoner=f"vlm:{url},model=eye-7b,timeout={timeout}", suite="open-v1:smoke",
+            policy="colour_seeker", reasoner=f"vlm:{url},model=eye-7b,timeout={timeout}", suite=suite,
             workers=0, episodes=1, latency=latency, out=out, clips=0,
         )  # fmt: skip
         results = run(config, progress=False)
-    return results.episodes[0].stages[0], [str(warning.message) for warning in expected]
+    return results.episodes[0], [str(warning.message) for warning in expected]
 
 
 def test_a_good_answer_is_flown_by(tmp_path):
     script = Script(replies=[(200, chat(ANSWER))])
-    stage, expected = flown(script, tmp_path, latency="reasoner=300ms")
+    episode, expected = flown(script, tmp_path, latency="reasoner=300ms")
+    (stage,) = episode.stages
     assert stage.outcome == "passed"
     assert stage.directive == TASK.directive
     assert stage.reasoner.gate
@@ -56,7 +57,8 @@ def slow(handler):
     ids=["refusal", "timeout"],
 )
 def test_the_flight_goes_on_and_every_fault_is_counted(script, fault, tmp_path):
-    stage, expected = flown(script, tmp_path, timeout=0.1 if fault == "timeout" else 60.0)
+    episode, expected = flown(script, tmp_path, timeout=0.1 if fault == "timeout" else 60.0)
+    (stage,) = episode.stages
     assert stage.outcome in ("passed", "wrong_gate", "timeout", "missed", "collision", "out_of_bounds")
     assert stage.directive is None
     assert set(stage.reasoner.faults) == {fault}
@@ -67,7 +69,7 @@ def test_the_flight_goes_on_and_every_fault_is_counted(script, fault, tmp_path):
 
 def test_after_a_fault_the_last_good_directive_stays(tmp_path):
     script = Script(replies=[(200, chat(ANSWER)), (500, b"")])
-    stage, _ = flown(script, tmp_path)
+    (stage,) = flown(script, tmp_path)[0].stages
     assert stage.outcome == "passed"
     assert stage.directive == TASK.directive
     assert stage.reasoner.answers == 1
@@ -78,7 +80,7 @@ def test_a_directive_for_a_gate_that_is_not_there_is_reported_as_wrong(tmp_path)
     absent = (
         f'{{"size": "{"small" if OTHER.size == "big" else "big"}", "color": "{OTHER.color}", "shape": "{OTHER.shape}"}}'
     )
-    stage, _ = flown(Script(replies=[(200, chat(absent))]), tmp_path)
+    (stage,) = flown(Script(replies=[(200, chat(absent))]), tmp_path)[0].stages
     assert stage.reasoner.gate is False
     assert stage.reasoner.answers >= 3
 
@@ -121,22 +123,13 @@ def planning(plan):
     return Script(behave=behave)
 
 
-def flown_mission(plan, out):
-    script = planning(plan)
-    with serving(script) as url:
-        config = Plan.of(
-            policy="colour_seeker", reasoner=f"vlm:{url},model=eye-7b,timeout=60", suite="open-v3:missions",
-            workers=0, episodes=1, out=out, clips=0,
-        )  # fmt: skip
-        return run(config, progress=False).episodes[0], script
-
-
 def test_a_mission_is_flown_by_the_models_own_plan(tmp_path):
     goals = [
         {"do": "fly", "what": f"sub-goal number {number}", "otherwise": "", "pad": "none", "never_through": ["green"]}
         for number in (0, 1)
     ]
-    episode, script = flown_mission(json.dumps({"sub_goals": goals}), tmp_path)
+    script = planning(json.dumps({"sub_goals": goals}))
+    episode, _ = flown(script, tmp_path, "open-v3:missions")
     assert [stage.outcome for stage in episode.stages] == ["passed", "passed"]
     assert [stage.directive for stage in episode.stages] == [task.directive for task in MISSION]
     asked = [body for body in script.bodies if MISSION[0].mission in str(body["messages"])]
@@ -144,7 +137,8 @@ def test_a_mission_is_flown_by_the_models_own_plan(tmp_path):
 
 
 def test_a_mission_without_a_plan_is_not_flown_and_the_run_goes_on(tmp_path):
-    episode, script = flown_mission('{"sub_goals": []}', tmp_path)
+    script = planning('{"sub_goals": []}')
+    episode, _ = flown(script, tmp_path, "open-v3:missions")
     assert [stage.outcome for stage in episode.stages] == ["policy_error", "not_reached"]
     assert episode.message == "the mission was not planned: the plan is empty; there is nothing to fly"
     assert len(script.bodies) == 2

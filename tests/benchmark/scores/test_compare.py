@@ -82,22 +82,22 @@ def test_runs_over_different_numbers_of_tasks_are_not_paired(two):
         compare(two[2], two[3])
 
 
-def test_other_differences_are_reported(two):
-    results = read_results(two[3])
-    write_results(two[3] / "results.json", replace(results, renderer="another"))
-    comparison = compare(two[2], two[3])
-    assert comparison.other_differences == ("renderer: imagination and another",)
-    assert "frames of other renderers and processors differ" in " ".join(text_of(comparison_table(comparison)).split())
-
-
-def test_another_architecture_is_said(two):
-    results = read_results(two[3])
+@pytest.mark.parametrize(
+    ("change", "difference"),
+    [
+        (lambda made: {"renderer": "another"}, "renderer: imagination and another"),
+        (lambda made: {"platform": {**made.platform, "machine": "aarch64"}}, "architecture: {here} and aarch64"),
+    ],
+)
+def test_another_renderer_or_architecture_is_said(two, change, difference):
     assert "frames" not in text_of(comparison_table(compare(two[2], two[3])))
-    write_results(two[3] / "results.json", replace(results, platform=dict(results.platform) | {"machine": "aarch64"}))
+    results = read_results(two[3])
+    write_results(two[3] / "results.json", replace(results, **change(results)))
     comparison = compare(two[2], two[3])
     here = results.platform.get("machine", "unknown")
-    assert comparison.other_differences == (f"architecture: {here} and aarch64",)
+    assert comparison.other_differences == (difference.format(here=here),)
     assert comparison.frames_differ
+    assert "frames of other renderers and processors differ" in " ".join(text_of(comparison_table(comparison)).split())
 
 
 def test_tables_fit_a_terminal_and_say_the_scores(two):
@@ -154,24 +154,18 @@ def test_families_have_rows_from_ten_tasks_on(results):
 
 
 @pytest.mark.parametrize(
-    ("only_a", "only_b", "expected"),
+    ("table", "expected"),
     [
-        (1, 2, "B passes 1 more of 30 tasks; no significant difference (McNemar, p = 1)"),
-        (2, 2, "A and B pass equally many of 30 tasks; no significant difference (McNemar, p = 1)"),
-        (9, 1, "A passes 8 more of 30 tasks; a significant difference (McNemar, p = 0.0215)"),
+        (Paired(20, 1, 2, 7), "B passes 1 more of 30 tasks; no significant difference (McNemar, p = 1)"),
+        (Paired(20, 2, 2, 6), "A and B pass equally many of 30 tasks; no significant difference (McNemar, p = 1)"),
+        (Paired(20, 9, 1, 0), "A passes 8 more of 30 tasks; a significant difference (McNemar, p = 0.0215)"),
+        (Paired(0, 0, 0, 0), "no task counts in both runs, so they cannot be compared"),
     ],
 )
-def test_the_verdict_is_one_sentence(two, only_a, only_b, expected):
+def test_the_verdict_is_one_sentence(two, table, expected):
     comparison = compare(two[2], two[3])
-    table = Paired(20, only_a, only_b, 10 - only_a - only_b)
-    overall = replace(comparison.overall, table=table, p=mcnemar(only_a, only_b))
+    overall = replace(comparison.overall, table=table, p=mcnemar(table.only_a, table.only_b))
     assert replace(comparison, overall=overall).verdict == expected
-
-
-def test_nothing_to_compare_is_reported(two):
-    comparison = compare(two[2], two[3])
-    nothing = replace(comparison.overall, table=Paired(0, 0, 0, 0))
-    assert replace(comparison, overall=nothing).verdict == "no task counts in both runs, so they cannot be compared"
 
 
 def test_errors_of_the_policy_and_of_the_physics_stand_below_the_table(results):

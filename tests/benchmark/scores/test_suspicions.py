@@ -4,16 +4,13 @@ import json
 from dataclasses import replace
 
 import benchmark_fakes
+import pytest
 
 from cognitivedrone import evaluate
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.runs.runner import run
 from cognitivedrone.benchmark.scores.comparison import suspicions
 from cognitivedrone.benchmark.scores.results import read_results
-
-
-def output(policy, **options):
-    return list(suspicions(evaluate(policy, workers=0, progress=False, **options).results))
 
 
 def test_a_policy_that_gives_the_same_answer_whatever_it_sees_is_named(tmp_path):
@@ -26,12 +23,16 @@ def test_a_policy_that_gives_the_same_answer_whatever_it_sees_is_named(tmp_path)
     assert list(suspicions(read_results(tmp_path / "run"))) == [warning]
 
 
-def test_a_chunk_that_is_repeated_counts_as_the_same_answer():
-    assert "in every flight" in output("user_pilots:Constant:rows=7", episodes=1)[0]
-
-
-def test_an_answer_that_differs_between_flights_alone_is_named():
-    assert "throughout each flight" in output("user_pilots:PerFlight", episodes=2)[0]
+@pytest.mark.parametrize(
+    ("policy", "episodes", "says"),
+    [
+        ("user_pilots:Constant:rows=7", 1, "in every flight"),  # a chunk that is repeated
+        ("user_pilots:PerFlight", 2, "throughout each flight"),
+    ],
+)
+def test_an_answer_that_differs_in_nothing_or_between_flights_alone_is_named(policy, episodes, says):
+    evaluation = evaluate(policy, episodes=episodes, workers=0, progress=False)
+    assert says in next(iter(suspicions(evaluation.results)))
 
 
 def test_a_policy_that_flies_at_one_gate_whatever_it_reads_is_named_and_one_that_reads_is_not(tmp_path):

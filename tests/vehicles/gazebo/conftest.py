@@ -1,7 +1,5 @@
 """Makes `reading` and `fake_gazebo` importable by their names, and writes one world for all."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -5,8 +5,6 @@ set or sent in truth cannot be set or sent here. Like the real one it answers a 
 it out a little later.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 import time
@@ -14,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Self
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from sdf_reading import parse, values
@@ -22,39 +20,29 @@ from sdf_reading import parse, values
 from cognitivedrone.vehicles.gazebo.bindings import MODULES, RELEASES, Bindings, ServiceProcess, load_bindings
 
 FIELD = descriptor_pb2.FieldDescriptorProto
+TEXT, BYTES, BOOL, NUMBER = FIELD.TYPE_STRING, FIELD.TYPE_BYTES, FIELD.TYPE_BOOL, FIELD.TYPE_DOUBLE
+INT, UINT, LONG = FIELD.TYPE_INT32, FIELD.TYPE_UINT32, FIELD.TYPE_INT64
 FIELDS: dict[str, list[tuple[str, Any]]] = {
-    "Time": [("sec", FIELD.TYPE_INT64), ("nsec", FIELD.TYPE_INT32)],
+    "Time": [("sec", LONG), ("nsec", INT)],
     "Header": [("stamp", "Time")],
-    "Vector3d": [(axis, FIELD.TYPE_DOUBLE) for axis in "xyz"],
-    "Quaternion": [(axis, FIELD.TYPE_DOUBLE) for axis in "xyzw"],
-    "Pose": [
-        ("header", "Header"),
-        ("name", FIELD.TYPE_STRING),
-        ("position", "Vector3d"),
-        ("orientation", "Quaternion"),
-    ],
+    "Vector3d": [(axis, NUMBER) for axis in "xyz"],
+    "Quaternion": [(axis, NUMBER) for axis in "xyzw"],
+    "Pose": [("header", "Header"), ("name", TEXT), ("position", "Vector3d"), ("orientation", "Quaternion")],
     "Pose_V": [("header", "Header"), ("pose", ["Pose"])],
-    "Boolean": [("data", FIELD.TYPE_BOOL)],
-    "Empty": [("unused", FIELD.TYPE_BOOL)],
-    "Entity": [("name", FIELD.TYPE_STRING), ("type", FIELD.TYPE_INT32)],
-    "EntityFactory": [
-        ("sdf", FIELD.TYPE_STRING),
-        ("name", FIELD.TYPE_STRING),
-        ("allow_renaming", FIELD.TYPE_BOOL),
-        ("pose", "Pose"),
-    ],
+    "Boolean": [("data", BOOL)],
+    "Empty": [("unused", BOOL)],
+    "Entity": [("name", TEXT), ("type", INT)],
+    "EntityFactory": [("sdf", TEXT), ("name", TEXT), ("allow_renaming", BOOL), ("pose", "Pose")],
     "Image": [
-        ("width", FIELD.TYPE_UINT32),
-        ("height", FIELD.TYPE_UINT32),
-        ("pixel_format_type", FIELD.TYPE_INT32),
-        ("step", FIELD.TYPE_UINT32),
-        ("data", FIELD.TYPE_BYTES),
+        *((name, UINT) for name in ("width", "height", "step")),
+        ("pixel_format_type", INT),
+        ("data", BYTES),
         ("header", "Header"),
     ],
-    "Light": [("name", FIELD.TYPE_STRING)],
-    "Model": [("name", FIELD.TYPE_STRING), ("pose", "Pose")],
-    "Scene": [("name", FIELD.TYPE_STRING), ("model", ["Model"]), ("light", ["Light"])],
-    "StringMsg_V": [("data", [FIELD.TYPE_STRING])],
+    "Light": [("name", TEXT)],
+    "Model": [("name", TEXT), ("pose", "Pose")],
+    "Scene": [("name", TEXT), ("model", ["Model"]), ("light", ["Light"])],
+    "StringMsg_V": [("data", [TEXT])],
 }
 
 
@@ -77,6 +65,20 @@ def make_messages() -> dict[str, Any]:
 
 
 MESSAGES = make_messages()
+
+
+def pose_message(time_s: float, position: Any, quaternion: Any = (1.0, 0.0, 0.0, 0.0), name: str = "iris") -> Any:
+    """Where a model is, among links that are relative to it."""
+    message = MESSAGES["Pose_V"]()
+    message.header.stamp.sec, message.header.stamp.nsec = int(time_s), round((time_s % 1) * 1e9)
+    message.pose.add(name="base_link").orientation.w = 1.0
+    pose = message.pose.add(name=name)
+    p, o = pose.position, pose.orientation
+    p.x, p.y, p.z = map(float, position)
+    o.w, o.x, o.y, o.z = map(float, quaternion)
+    for index in range(4):
+        message.pose.add(name=f"rotor_{index}").orientation.w = 1.0
+    return message
 
 
 class FakeGazebo:
@@ -148,7 +150,7 @@ class FakeGazebo:
         return MESSAGES["Boolean"](data=True)
 
     @contextmanager
-    def running(self) -> Iterator[FakeGazebo]:
+    def running(self) -> Iterator[Self]:
         """Simulates in a thread of its own: carries out commands, and tells where everything is."""
         thread = threading.Thread(target=self._run)
         self._running.set()

@@ -1,7 +1,5 @@
 """A Gazebo in which something flies: the fake, with our own simulator as its ArduPilot behind a real socket."""
 
-from __future__ import annotations
-
 import math
 import threading
 import time
@@ -11,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from fake_gazebo import MESSAGES, FakeGazebo
+from fake_gazebo import MESSAGES, FakeGazebo, pose_message
 
 from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.sim.simulator import Simulator
@@ -66,7 +64,9 @@ def moving(gazebo: FakeGazebo) -> Iterator[Moving]:
                     continue
                 if vehicle.time >= pose_due or time.monotonic() >= frame_due:
                     pose_due = vehicle.time + POSE_S
-                    gazebo.publish(f"/world/{gazebo.world}/dynamic_pose/info", pose(vehicle))
+                    state = vehicle.state()
+                    message = pose_message(vehicle.time, state.position, state.quaternion, NAME)
+                    gazebo.publish(f"/world/{gazebo.world}/dynamic_pose/info", message)
                 if time.monotonic() >= frame_due:
                     frame_due = time.monotonic() + FRAME_S
                     grey = np.full((256, 256, 3), len(gazebo.poses), np.uint8)
@@ -81,21 +81,6 @@ def moving(gazebo: FakeGazebo) -> Iterator[Moving]:
             stopping.set()
             thread.join()
             simulator.close()
-
-
-def pose(vehicle: SimulatedVehicle):
-    """The `Pose_V` of the vehicle now."""
-    message, state = MESSAGES["Pose_V"](), vehicle.state()
-    message.header.stamp.sec = int(vehicle.time)
-    message.header.stamp.nsec = round((vehicle.time % 1) * 1e9)
-    one = message.pose.add()
-    one.name = NAME
-    one.position.x, one.position.y, one.position.z = map(float, state.position)
-    o = one.orientation
-    o.w, o.x, o.y, o.z = map(float, state.quaternion)
-    for link in ("base_link", *(f"rotor_{index}" for index in range(4))):  # relative to the model
-        message.pose.add(name=link).orientation.w = 1.0
-    return message
 
 
 @contextmanager

@@ -1,7 +1,5 @@
 """Reads exported worlds back without the code that wrote them: SDF by its elements, OBJ by its lines."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The commands of docs/gazebo.md, as far as they go on a machine without Gazebo."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path
@@ -30,17 +28,10 @@ def test_the_export_command_of_the_page_works(tmp_path, capsys):
     assert "world.sdf" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("start", "says"),
-    [
-        (("bench", "--link", "gazebo"), "Python bindings are not installed"),
-        (("fly",), "Python bindings are not installed"),
-    ],
-)
-def test_the_other_commands_are_understood_and_say_what_is_missing(start, says, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("start", [("bench", "--link", "gazebo"), ("fly",)])
+def test_the_other_commands_are_understood_and_say_what_is_missing(start, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(SystemExit) as stop:
+    with pytest.raises(SystemExit, match=r"^2$"):
         main(command(*start))
-    assert stop.value.code == 2
-    assert says in capsys.readouterr().err
+    assert "Python bindings are not installed" in capsys.readouterr().err

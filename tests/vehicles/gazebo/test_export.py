@@ -1,7 +1,5 @@
 """The export command: which task, which folder, and what it says when it cannot."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

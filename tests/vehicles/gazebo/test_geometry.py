@@ -1,7 +1,5 @@
 """Exported worlds, read back, against our own: the same places, shapes, pictures, light and camera."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The link to a running Gazebo, against a fake that speaks gz-transport's Python interface."""
 
-from __future__ import annotations
-
 import math
 import re
 import threading
@@ -11,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fake_gazebo import MESSAGES, FakeGazebo
+from fake_gazebo import MESSAGES, FakeGazebo, pose_message
 from sdf_reading import models, parse, read_world, values
 
 from cognitivedrone.errors import CameraError
@@ -133,13 +131,6 @@ def test_services_are_called_from_a_process_that_subscribes_to_nothing(gazebo, t
     assert gazebo.callers == 0
 
 
-def test_a_world_that_cannot_be_used_leaves_no_process_behind(tmp_path):
-    gazebo = FakeGazebo(world="shapes", models=("box",))
-    with pytest.raises(GazeboError, match="already runs"):
-        connect(gazebo, tmp_path)
-    assert gazebo.callers == 0
-
-
 def test_a_plan_moves_what_is_the_same_and_replaces_the_rest():
     red = Prop("gate_1", "gate_big_round", (1.0, 2.0, 0.9), 0.0, paint((1.0, 0.0, 0.0), 0.4, PLAIN))
     blue = replace(red, name="gate_2", paint=paint((0.0, 0.0, 1.0), 0.4, PLAIN))
@@ -215,20 +206,6 @@ def test_a_silent_camera_is_told_of_at_once_and_later(gazebo, tmp_path):
         with pytest.raises(CameraError, match="is Gazebo still running"):
             camera.read()
         camera.close()
-
-
-def pose_message(time_s: float, position, quaternion=(1.0, 0.0, 0.0, 0.0), name: str = "iris"):
-    message = MESSAGES["Pose_V"]()
-    message.header.stamp.sec = int(time_s)
-    message.header.stamp.nsec = round((time_s - int(time_s)) * 1e9)
-    other = message.pose.add()
-    other.name = "base_link"
-    pose = message.pose.add()
-    pose.name = name
-    pose.position.x, pose.position.y, pose.position.z = position
-    w, x, y, z = quaternion
-    pose.orientation.w, pose.orientation.x, pose.orientation.y, pose.orientation.z = w, x, y, z
-    return message
 
 
 def test_the_true_state_has_velocity_and_body_rates(gazebo, tmp_path):
@@ -313,14 +290,18 @@ def test_the_release_of_the_simulator_is_read_from_its_own_words(tmp_path, monke
     assert live.installed_releases() == frozenset()
 
 
-def test_a_world_that_is_not_ours_is_left_alone(tmp_path):
-    gazebo = FakeGazebo(world="shapes", models=("box",))
-    with pytest.raises(GazeboError, match="already runs the world 'shapes', not 'cognitivedrone'; stop it"):
+@pytest.mark.parametrize(
+    ("world", "says"),
+    [
+        ("shapes", "already runs the world 'shapes', not 'cognitivedrone'; stop it"),
+        ("cognitivedrone", "has no model 'iris'; start one made by"),
+    ],
+)
+def test_a_world_that_is_not_ours_is_left_alone_and_no_process_stays_behind(tmp_path, world, says):
+    gazebo = FakeGazebo(world=world, models=("box",))
+    with pytest.raises(GazeboError, match=says):
         connect(gazebo, tmp_path)
-    gazebo = FakeGazebo(models=("box",))
-    with pytest.raises(GazeboError, match="has no model 'iris'; start one made by"):
-        connect(gazebo, tmp_path)
-    assert gazebo.asked == []
+    assert (gazebo.asked, gazebo.callers) == ([], 0)
 
 
 @pytest.mark.parametrize(

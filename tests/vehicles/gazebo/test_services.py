@@ -1,7 +1,5 @@
 """The process that calls services: a true one, with a gz-transport that is written here."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from pathlib import Path

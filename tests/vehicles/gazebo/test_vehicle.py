@@ -1,7 +1,5 @@
 """The exported Iris: the airframe's mass, inertia, thrust and motor order, and nothing of it before its camera."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
