@@ -140,11 +140,9 @@ class PolicyLike(Protocol):
 
     def reset(self, context: EpisodeContext) -> None:
         """Start a stage."""
-        ...
 
     def act(self, observation: Observation) -> ActionChunk:
         """As `Policy.act`."""
-        ...
 
 
 class ReasonerLike(Protocol):
@@ -152,7 +150,6 @@ class ReasonerLike(Protocol):
 
     def refine(self, image: Image, instruction: str) -> Guidance:
         """As `Reasoner.refine`."""
-        ...
 
 
 class Drone(Protocol):
@@ -160,11 +157,9 @@ class Drone(Protocol):
 
     def observe(self) -> Observation:
         """The newest frame and state."""
-        ...
 
     def send(self, action: Action) -> Action:
         """Set the velocity setpoint; returns it as sent, after limits."""
-        ...
 
     def close(self) -> None: ...
 
@@ -186,11 +181,9 @@ class Recorder(Protocol):
 
     def record(self, observation: Observation, action: Action, guidance: Guidance | None) -> None:
         """One control step: the observation, the command sent, and the directive in effect."""
-        ...
 
     def note(self, event: Event) -> None:
         """Any other event, as it happens."""
-        ...
 
 
 class LabelPack(Protocol):
@@ -198,4 +191,3 @@ class LabelPack(Protocol):
 
     def image(self, reference: str) -> Image:
         """The picture for a label reference `kind/concept@style`; raises `LabelError` with near names."""
-        ...

@@ -435,7 +435,11 @@ def test_a_run_has_its_scores_by_family_and_the_commit_that_flew_it(smoke_run):
 def test_verify_says_where_something_else_draws(file):
     here = read_submission(file).runs[0].renderer
     for there, differences in ((here, ()), ("NVIDIA H100/PCIe/SSE2", (f"renderer {here} instead of NVIDIA H100",))):
-        edit(file, lambda document, there=there: document["runs"][0].update(renderer=there))
+
+        def drawn(document, there=there):
+            document["runs"][0]["renderer"] = there
+
+        edit(file, drawn)
         (checked,) = verify(read_submission(file), 1, seed=1, progress=False)
         assert tuple(text.partition("/")[0] for text in checked.differences) == differences
 

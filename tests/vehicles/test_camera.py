@@ -49,9 +49,15 @@ def video(tmp_path_factory) -> Path:
 
 def wait(holds):
     """What it gives, as soon as that is true."""
-    results = []
-    soon(lambda: results.append(holds()) or results[-1])
-    return results[-1]
+    found = None
+
+    def look():
+        nonlocal found
+        found = holds()
+        return found
+
+    soon(look)
+    return found
 
 
 def write_lying(path: Path, matrix: tuple[int, int, int, int], picture: np.ndarray) -> Path:

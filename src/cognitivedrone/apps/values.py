@@ -56,11 +56,9 @@ class Instrument(Protocol):
 
     def step(self, step: Step) -> None:
         """Process a control step."""
-        ...
 
     def event(self, event: Event) -> None:
         """Process an event."""
-        ...
 
 
 class Page(Instrument, Protocol):
@@ -68,11 +66,9 @@ class Page(Instrument, Protocol):
 
     def begin(self, vehicle: Vehicle, pilot: Pilot, goals: Sequence[SubGoal]) -> None:
         """Show a flight that begins now; `goals` are the sub-goals of its mission, if that is one."""
-        ...
 
     def steer(self, action: Action) -> Action:
         """The command to send instead of the pilot's: a person's, who has taken over, or the same."""
-        ...
 
 
 class SteeredDrone:

@@ -46,7 +46,6 @@ class TokenPolicy(Protocol):
     @property
     def has_tokens(self) -> bool:
         """Whether they are."""
-        ...
 
     def token_answer(
         self, observation: Observation, action: FloatArray
@@ -54,7 +53,6 @@ class TokenPolicy(Protocol):
         """Of a true action's (4,) tokens, each given those before it: whether it is the likeliest one (4,), and its
         cross-entropy (4,), nats.
         """
-        ...
 
 
 @dataclass(frozen=True, slots=True)

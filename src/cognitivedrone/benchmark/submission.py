@@ -283,13 +283,8 @@ def leaderboard(submissions: Sequence[Submission], suites: Sequence[str]) -> lis
         name = in_markdown(submission.name)
         name = f"[{name}]({submission.url})" if submission.url else name
         pilot = submission.runs[0].run
-        row = [
-            name,
-            in_markdown(submission.by),
-            _part(pilot.policy, POLICIES),
-            _part(pilot.reasoner, REASONERS),
-            *cells,
-        ]
+        parts = (_part(pilot.policy, POLICIES), _part(pilot.reasoner, REASONERS))
+        row = [name, in_markdown(submission.by), *parts, *cells]
         rows.append((total / max(len(suites), 1), row))
     return [row for _, row in sorted(rows, key=lambda each: (-each[0], each[1]))]
 

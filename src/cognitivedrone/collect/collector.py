@@ -183,7 +183,9 @@ def collect(config: CollectPlan, progress: bool = True) -> CollectReport:
     installed, and `KeyboardInterrupt` on Ctrl-C, whose message gives the number of saved episodes.
     """
     job = _resolve(config)
-    suite, making = open_suite(job), _making(job)
+    suite, labels = open_suite(job), job.source.labels
+    # What the manifest says of the recipe; of the user's own label images, the hash.
+    making = job.recipe.facts() | ({} if labels is None else {"labels": digest_of_labels(labels)})
     begin = time.perf_counter()
     columns = (SpinnerColumn(), TimeElapsedColumn())
     with sole_writer(config.out, DataError, WRITING), progress_bar("speed", show=progress, columns=columns) as bar:
@@ -327,12 +329,6 @@ def _resolve(config: CollectPlan) -> Job:
     episodes = recipe.episodes if config.episodes is None else config.episodes
     recipe = replace(recipe, episodes=episodes, down_camera=recipe.down_camera or config.down_camera)
     return Job(config.source, recipe, config.episodes_per_shard, learner)
-
-
-def _making(job: Job) -> dict[str, Any]:
-    """What the manifest says of the recipe; of the user's own label images, the hash."""
-    labels = job.source.labels
-    return job.recipe.facts() | ({} if labels is None else {"labels": digest_of_labels(labels)})
 
 
 def _advance(bar: Progress, line: TaskID, gathered: _Gathered, begin: float) -> None:

@@ -115,19 +115,15 @@ class AsyncReasoner(Protocol):
 
     def idle(self, now: float) -> bool:
         """Whether it can be asked."""
-        ...
 
     def ask(self, question: Question) -> None:
         """Start working on a question; only while idle."""
-        ...
 
     def answer(self, now: float) -> Answer | None:
         """The answer to the last question, once, when it has arrived."""
-        ...
 
     def close(self) -> None:
         """End the flight."""
-        ...
 
 
 class SimulatedReasoner:

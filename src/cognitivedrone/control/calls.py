@@ -26,11 +26,9 @@ class Watch(Protocol):
 
     def begin(self) -> None:
         """A call begins."""
-        ...
 
     def end(self) -> None:
         """The call has returned or raised."""
-        ...
 
 
 class NoWatch:

@@ -36,26 +36,15 @@ SHARD_SUFFIX: Final = ".parquet"
 @contextlib.contextmanager
 def clear_errors(path: Path, doing: str) -> Iterator[None]:
     """Turn errors of the operating system or Parquet into one `DataError` that names the file."""
+    written = doing == "written"
+    fix = "make room there or give another place" if written else "run `cognitivedrone data verify` on the store"
     try:
         yield
     except OSError as error:
-        raise DataError(f"{path}: cannot be {doing} ({error.strerror or error}); {_way_out(doing)}") from None
-    except (
-        pa.ArrowException,
-        ArithmeticError,
-        AttributeError,
-        LookupError,
-        TypeError,
-        ValueError,
-    ) as error:
+        raise DataError(f"{path}: cannot be {doing} ({error.strerror or error}); {fix}") from None
+    except (pa.ArrowException, ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise DataError(f"{path}: cannot be {doing} ({reason}); {_way_out(doing)}") from None
-
-
-def _way_out(doing: str) -> str:
-    if doing == "written":
-        return "make room there or give another place"
-    return "run `cognitivedrone data verify` on the store"
+        raise DataError(f"{path}: cannot be {doing} ({reason}); {fix}") from None
 
 
 def write_atomically(path: Path, write: Callable[[Path], None]) -> None:

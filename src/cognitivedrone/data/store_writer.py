@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
@@ -262,13 +262,9 @@ class StoreWriter:
             "shards": [receipt.facts() for receipt in receipts],
         }
         write_json(self.path / MANIFEST, self._head | content)
-        write_text(self.path / SUMS, sums_text(dict(self._hashes(receipts))))
-
-    def _hashes(self, receipts: Sequence[Receipt]) -> Iterator[tuple[str, str]]:
-        for receipt in receipts:
-            yield receipt.file, receipt.sha256
-        for name in (*(receipt_name(receipt.file) for receipt in receipts), MANIFEST, STATISTICS, TASKS):
-            yield name, sha256_of(self.path / name)
+        hashes = {receipt.file: receipt.sha256 for receipt in receipts}
+        others = (*(receipt_name(receipt.file) for receipt in receipts), MANIFEST, STATISTICS, TASKS)
+        write_text(self.path / SUMS, sums_text(hashes | {name: sha256_of(self.path / name) for name in others}))
 
     def _numbers_there(self) -> list[int]:
         stems = (path.stem.removeprefix("shard-") for path in self.path.glob(f"{SHARDS}/shard-*.*"))

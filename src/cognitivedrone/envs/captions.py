@@ -10,7 +10,6 @@ import re
 import textwrap
 import unicodedata
 from collections import deque
-from collections.abc import Callable
 from contextlib import suppress
 from functools import cache, lru_cache
 from pathlib import Path
@@ -95,13 +94,10 @@ def wrap(text: str, width: float, face: Font, lines: int) -> list[str]:
     """`text` as at most `lines` lines of at most `width` pixels, `drawable`. Long words are broken; excess text is
     replaced by an ellipsis.
     """
-    return _wrap(drawable(text), width, face.getlength, lines)
-
-
-def _wrap(text: str, width: float, length: Callable[[str], float], lines: int) -> list[str]:
+    length = face.getlength
     wrapped: list[str] = []
     line = ""
-    words = deque(text.split())
+    words = deque(drawable(text).split())
     while words and len(wrapped) <= lines:
         word = words.popleft()
         longer = f"{line} {word[:LONGEST]}".lstrip()

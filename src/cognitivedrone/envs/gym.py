@@ -89,10 +89,7 @@ class CognitiveDroneEnv(gymnasium.Env[Any, Action]):
     of the camera what it shows is, m.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
-        "render_modes": ["rgb_array"],
-        "render_fps": CONTROL_HZ,
-    }
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": CONTROL_HZ}  # type: ignore[misc]
 
     def __init__(
         self,

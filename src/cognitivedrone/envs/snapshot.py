@@ -20,7 +20,7 @@ from cognitivedrone.sim.drawing.chase import ChaseView
 from cognitivedrone.sim.drawing.views import View, first_person_view, top_view
 from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import Suite, track_at
-from cognitivedrone.types import IMAGE_SIZE, FloatArray, Gate, Image, Task
+from cognitivedrone.types import IMAGE_SIZE, FloatArray, Image, Task
 from cognitivedrone.world import geometry
 
 SIDE: Final = 2 * IMAGE_SIZE
@@ -106,7 +106,8 @@ def _heading(task: Task, where: str) -> PillowImage.Image:
     for index in geometry.choices(task):
         right = index == task.target
         _badge(pen, _GAP + _BADGE, top + _BADGE, index + 1, right=right)
-        text = f"{task.gates[index].color} pad" if task.landing else _look(task.gates[index])
+        gate = task.gates[index]
+        text = f"{gate.color} pad" if task.landing else f"{gate.size} {gate.color} {gate.shape} gate"
         if task.only is None and not task.landing:
             text += f": {readable(task.options[index], 200)}"
         lines = wrap(text + ("  (right)" if right else ""), _WIDTH - 3 * _GAP - 2 * _BADGE, font(26), 2)
@@ -114,10 +115,6 @@ def _heading(task: Task, where: str) -> PillowImage.Image:
             pen.text((2 * _GAP + 2 * _BADGE, top + 4 + 32 * number), line, _RIGHT if right else _INK, font(26))
         top += 18 + 32 * len(lines)
     return page.crop((0, 0, _WIDTH, top + 14))
-
-
-def _look(gate: Gate) -> str:
-    return f"{gate.size} {gate.color} {gate.shape} gate"
 
 
 def _mark_gates(picture: PillowImage.Image, view: View, track_runner: TrackRunner) -> None:

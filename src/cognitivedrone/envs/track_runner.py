@@ -128,11 +128,7 @@ class TrackRunner:
         self._declined_at: float | None = None
 
     def begin(
-        self,
-        track: Track,
-        rng: np.random.Generator,
-        start: Start | None = None,
-        appearance: Appearance | None = None,
+        self, track: Track, rng: np.random.Generator, start: Start | None = None, appearance: Appearance | None = None
     ) -> None:
         """Start a new flight at the first stage; `rng` draws what is not given: a published start, and the appearance
         that the conditions ask for.

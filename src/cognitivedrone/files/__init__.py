@@ -376,6 +376,6 @@ def writing(
         raise error(f"cannot write {path}: {reason_of(refused)}; {way_out_of(refused) or then}") from None
 
 
-def reason_of(error: OSError) -> str:
-    """The operating system's message, without its number and the file's name."""
-    return error.strerror or str(error) or type(error).__name__
+def reason_of(error: Exception) -> str:
+    """An error's message; the operating system's without its number and the file's name."""
+    return getattr(error, "strerror", None) or str(error) or type(error).__name__

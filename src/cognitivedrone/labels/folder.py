@@ -44,10 +44,8 @@ def picture_of(model: Path) -> str:
     """
     try:
         root = ET.fromstring(read_regular(model, MAX_MODEL_BYTES))  # noqa: S314 - expat bounds what entities expand to
-    except OSError as error:
+    except (OSError, ET.ParseError) as error:
         raise LabelError(f"{model}: cannot be read as a COLLADA model ({reason_of(error)})") from None
-    except ET.ParseError as error:
-        raise LabelError(f"{model}: cannot be read as a COLLADA model ({error})") from None
     named = {image.get("id"): image.findtext(f"{_COLLADA}init_from") for image in root.iter(f"{_COLLADA}image")}
     used = [surface.findtext(f"{_COLLADA}init_from") for surface in root.iter(f"{_COLLADA}surface")]
     found = [named[key] for key in used if key in named] + list(named.values())

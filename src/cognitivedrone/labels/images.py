@@ -87,7 +87,7 @@ ROOM = 216
 INK = (22, 22, 22)
 PAPER = (255, 255, 255)
 
-_SIGNS = {"*": "×", "/": "÷", "-": "−"}
+_SIGNS = str.maketrans("*/-", "×÷−")
 _SUM = re.compile(r"\(*[0-9]+\)*([+\-*/]\(*[0-9]+\)*)*")
 LONGEST_SUM = 24
 """Maximum length in characters; longer sums would be too small to read."""
@@ -107,14 +107,9 @@ def is_sum(expression: str) -> bool:
     return depth == 0 and len(expression) <= LONGEST_SUM and _SUM.fullmatch(expression) is not None
 
 
-def typeset_sum(expression: str) -> str:
-    """The sum with typographic operators: 7*9-2 becomes 7×9−2."""
-    return "".join(_SIGNS.get(character, character) for character in expression)
-
-
 def sum_panel(expression: str, font: Path) -> Image.Image:
     """(SIDE, SIDE) RGB panel of a sum, on one line, or on two if that makes it much more readable from afar."""
-    text = typeset_sum(expression)
+    text = expression.translate(_SIGNS)
     best, best_size = text, _fitting_size(text, font)
     threshold = best_size * _WORTH_A_BREAK
     for broken in _breaks(text):

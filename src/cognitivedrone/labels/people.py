@@ -13,7 +13,7 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageChops, ImageDraw
+from PIL import Image, ImageChops, ImageColor, ImageDraw
 
 from cognitivedrone.errors import LabelError, did_you_mean
 from cognitivedrone.references import PERSON_ATTRIBUTES, PERSON_HANDS, full_person
@@ -117,10 +117,8 @@ Colors = Mapping[str, Mapping[str, str]]
 
 def layers_of(hand: str, person: Mapping[str, str]) -> list[tuple[str, str]]:
     """Layers of a person from back to front, each with the attribute that gives its second colour ("" for none)."""
-    covered = person["hat"] != "none"
-    hair = ("hair/" + person["hair"], "hair_color")
-    if covered:
-        hair = ("hat/" + person["hat"], "hat_color")
+    covering = "hair" if person["hat"] == "none" else "hat"
+    hair = (f"{covering}/{person[covering]}", f"{covering}_color")
     beard = [("beard/" + person["beard"], "hair_color")] if person["beard"] != "none" else []
     glasses = [("glasses/" + person["glasses"], "")] if person["glasses"] != "none" else []
     face = ("expression/" + person["expression"], "hair_color")
@@ -146,11 +144,11 @@ def draw_portrait(concept: str, hand: str, background: str, layer: LayerSource, 
             raise LabelError(
                 f"label 'person/{concept}': the artist {hand} draws no {attribute} {person[attribute]!r}; {hint}"
             )
-    skin = _rgb(colors["skin"][person["skin"]])
+    skin = ImageColor.getrgb(colors["skin"][person["skin"]])
     image = Image.new("RGBA", (CANVAS, CANVAS), (*BACKGROUNDS[background], 255))
     for name, attribute in layers_of(hand, person):
         part, corner = layer(name)
-        second = _rgb(colors[attribute][person[attribute]]) if attribute else (0, 0, 0)
+        second = ImageColor.getrgb(colors[attribute][person[attribute]]) if attribute else (0, 0, 0)
         image.alpha_composite(_colored(part, skin, second), corner)
     return image.convert("RGB").resize((SIDE, SIDE), Image.Resampling.BICUBIC)
 
@@ -161,7 +159,3 @@ def _colored(layer: Image.Image, first: tuple[int, ...], second: tuple[int, ...]
     fixed, amounts = pixels[:half].astype(np.float32), pixels[half:, :, :2].astype(np.float32) / 255
     fixed[..., :3] += amounts @ np.array([first, second], dtype=np.float32)
     return Image.fromarray(np.clip(fixed.round(), 0, 255).astype(np.uint8))
-
-
-def _rgb(code: str) -> tuple[int, ...]:
-    return tuple(bytes.fromhex(code.removeprefix("#")))

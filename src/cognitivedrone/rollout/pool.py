@@ -53,11 +53,9 @@ class Worker(Protocol):
     @property
     def renderer(self) -> str:
         """Name of the renderer, such as "llvmpipe (LLVM 15.0.6, 256 bits)"."""
-        ...
 
     def close(self) -> None:
         """Free the simulator."""
-        ...
 
 
 class Work(Protocol[_Item, _Answer_co]):
@@ -66,27 +64,21 @@ class Work(Protocol[_Item, _Answer_co]):
     @property
     def time_limit_s(self) -> float:
         """Time limit of one call of policy or reasoner, s."""
-        ...
 
     def open(self, watch: CallClock | None = None) -> Any:
         """A worker, which notifies `watch` of every call of policy and reasoner."""
-        ...
 
     def fly(self, worker: Any, item: _Item) -> Iterable[_Answer_co]:
         """The answers to an item, each as soon as it is there."""
-        ...
 
     def title(self, item: _Item) -> str:
         """An item as part of a sentence, such as "episode 5"."""
-        ...
 
     def lost(self, item: _Item, message: str, trace: str) -> _Answer_co:
         """The answer to an item whose worker died in a call of policy or reasoner."""
-        ...
 
     def differences(self) -> str:
         """In what this machine would do other work than the one that began it, as part of a sentence; empty if not."""
-        ...
 
 
 class Pool(ABC, Generic[Item, Answer]):

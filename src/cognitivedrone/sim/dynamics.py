@@ -44,12 +44,7 @@ class BatchedFlight:
     """Ticks between runs of the autopilot's outer loops, and between samples of `advance`."""
 
     def __init__(
-        self,
-        worlds: int = 1,
-        airframe: Airframe = RACER,
-        *,
-        threads: int = 1,
-        gains: AutopilotGains | None = None,
+        self, worlds: int = 1, airframe: Airframe = RACER, *, threads: int = 1, gains: AutopilotGains | None = None
     ) -> None:
         self.worlds = worlds
         self.airframe = airframe

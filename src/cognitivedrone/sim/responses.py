@@ -90,19 +90,15 @@ class Motion(Protocol):
 
     def begin(self, start: Start) -> None:
         """Hover at `start`."""
-        ...
 
     def command(self, action: FloatArray) -> None:
         """Fly by a velocity (4,), heading frame, m/s and rad/s."""
-        ...
 
     def advance(self, ticks: int) -> FloatArray:
         """Fly on by ticks of `BatchedFlight.TICK_S`; the way there, (samples, 3), world, m."""
-        ...
 
     def state(self) -> DroneState:
         """The true state."""
-        ...
 
 
 class OwnMotion:

@@ -57,45 +57,35 @@ class DroneWorld(Protocol):
     @property
     def hull_radius(self) -> float:
         """Radius of the drone's bounding sphere, m."""
-        ...
 
     @property
     def gate_monitor(self) -> GateMonitor:
         """The gate monitor of the current stage; raises `ValueError` before the first `begin`."""
-        ...
 
     @property
     def diverged(self) -> bool:
         """Whether the flight can no longer be judged; the world then stands still until the next `begin`."""
-        ...
 
     def begin(self, stage: Stage, scenery: Scenery, start: Start) -> None:
         """Start a new flight: the drone hovers at `start`."""
-        ...
 
     def place(self, stage: Stage, scenery: Scenery) -> None:
         """Show another stage; the drone flies on."""
-        ...
 
     def command(self, action: FloatArray) -> None:
         """Set the velocity setpoint: (4,) heading frame, m/s and rad/s."""
-        ...
 
     def advance(self, ticks: int = TICKS_PER_CONTROL) -> GateEvent | None:
         """Advance by ticks of `BatchedFlight.TICK_S`; returns what happened at the gates."""
-        ...
 
     def frame(self, *, down: bool = False) -> Image:
         """The first-person view, or that of the camera that looks down, (size, size, 3) uint8."""
-        ...
 
     def state(self) -> DroneState:
         """The drone's true state."""
-        ...
 
     def time(self) -> float:
         """Seconds since the flight began."""
-        ...
 
 
 class Simulator:
@@ -170,14 +160,9 @@ class Simulator:
         """
         if self.cameras is None:
             raise ValueError("this simulator was made without cameras")
-        flight, times = self.flight, self.ticks * BatchedFlight.TICK_S
-        rates = flight.body_rates[:, 2]
-        if worlds is None:
-            position, quaternion = flight.position, flight.quaternion
-            return self.cameras.first_person(position, quaternion, out, None, rates, times, down=down, depth=depth)
-        chosen = list(worlds)
+        chosen, flight = list(range(self.worlds) if worlds is None else worlds), self.flight
         position, quaternion = flight.position[chosen], flight.quaternion[chosen]
-        rates, times = rates[chosen], times[chosen]
+        rates, times = flight.body_rates[chosen, 2], self.ticks[chosen] * BatchedFlight.TICK_S
         return self.cameras.first_person(position, quaternion, out, chosen, rates, times, down=down, depth=depth)
 
     def gate_monitor(self, world: int) -> GateMonitor:

@@ -119,11 +119,6 @@ def obstacle_depth(position: FloatArray, quaternion: FloatArray, stage: Stage) -
     return nearest.astype(np.float32)
 
 
-def quieter(recipe: ObstacleStreamRecipe, batch: int) -> ObstacleStreamRecipe:
-    """The same flights with fewer frames of each, so that few frames cover many scenes."""
-    return replace(recipe, batch=batch, sampled=0.05)
-
-
 _NEAR_M = 3.0  # obstacles nearer than this matter in flight
 
 
@@ -167,7 +162,7 @@ class ObstacleTraining(TrainingTask):
     def validation(self, seed: int) -> list[Batch]:
         """Few frames per flight, so that they cover many scenes."""
         size = min(32, self.recipe.validation_frames)
-        flights = ObstacleFlights(quieter(self.recipe.stream, size))
+        flights = ObstacleFlights(replace(self.recipe.stream, batch=size, sampled=0.05))
         try:
             return list(islice(flights((seed, VALIDATION)), self.recipe.validation_frames // size))
         finally:

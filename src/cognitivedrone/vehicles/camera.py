@@ -63,11 +63,9 @@ class Camera(Protocol):
 
     def read(self) -> Shot:
         """The newest frame; raises `CameraError` if there is none, or no more will arrive."""
-        ...
 
     def close(self) -> None:
         """Close the source."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

@@ -108,49 +108,38 @@ class Vehicle(Protocol):
     @property
     def simulated(self) -> bool:
         """Whether it is certainly a simulation, which cannot hurt anybody."""
-        ...
 
     @property
     def track_runner(self) -> TrackRunner | None:
         """Ground truth: the track, the current stage and the results; none for vehicles without ground truth."""
-        ...
 
     @property
     def over(self) -> str | None:
         """Why the vehicle, its guard or its pilot ended the flight, as text; none if they did not."""
-        ...
 
     @property
     def trouble(self) -> str:
         """Why the last vehicle was lost, as text; empty if none was."""
-        ...
 
     @property
     def report(self) -> LinkReport:
         """Link statistics so far; all zeros without a link."""
-        ...
 
     @property
     def renderer(self) -> str:
         """Name of the renderer; empty if frames come from a camera."""
-        ...
 
     def begin(self, track: Track, rng: np.random.Generator) -> None:
         """Prepare a flight through a track; `rng` draws all random conditions. Only with a `track_runner`."""
-        ...
 
     def take_off(self, confirm: Confirm) -> ClockedDrone:
         """Take off and start the clock. Raises `LinkError` if it does not fly or `confirm` returns false."""
-        ...
 
     def status(self) -> Status:
         """Current status."""
-        ...
 
     def land(self) -> bool:
         """Land where it is, if we control it; returns whether it is on the ground."""
-        ...
 
     def close(self) -> None:
         """Land and release all resources."""
-        ...

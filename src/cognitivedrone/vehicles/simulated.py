@@ -182,11 +182,9 @@ class StageView(Protocol):
 
     def show(self, stage: Stage, scenery: Scenery) -> None:
         """Show a stage with its pictures."""
-        ...
 
     def frame(self, state: DroneState, time: float, *, down: bool = False) -> Image:
         """The view from a state, (size, size, 3) uint8, `time` s after the flight began."""
-        ...
 
 
 class ExternalWorld:

@@ -30,14 +30,7 @@ from cognitivedrone.control.async_reasoner import asking, check_guidance
 from cognitivedrone.control.calls import begin_stage, seed_of
 from cognitivedrone.data.episode import decode_image
 from cognitivedrone.data.recorded import check_scenes, recorded, state_at
-from cognitivedrone.envs.track_runner import (
-    TrackRunner,
-    draw_start,
-    episode_rng,
-    next_place,
-    scenery_of,
-    stage_of,
-)
+from cognitivedrone.envs.track_runner import TrackRunner, draw_start, episode_rng, next_place, scenery_of, stage_of
 from cognitivedrone.envs.worlds import Worlds
 from cognitivedrone.errors import PluginError, ReasonerError, RunError
 from cognitivedrone.files import create, remove, writing

@@ -110,16 +110,17 @@ def episode_map(result: EpisodeResult, trace: Trace, options: Sequence[str] = ()
     flights = list(stage_flights(result, trace))
     marks = (_path_mark(_to_page(flight.points, base), flight.result.outcome) for flight in flights)
     corners = [_to_page(geometry.gate_centers(stage)[list(geometry.choices(stage))], base) for stage in trace.stages]
-    corners.append(_to_page(_start_corners(base), base))
+    reach = np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 0.0]]) * geometry.START_HALF_EXTENT
+    start_box = rotate_yaw(geometry.START + reach, base.yaw) + np.array([*base.origin, 0.0])
+    corners.append(_to_page(start_box, base))
     every = np.concatenate([*corners, _to_page(trace.path, base)])
     every = every[np.isfinite(every).all(axis=1)]
     low, high = every.min(axis=0), every.max(axis=0)
     if len(trace.stages) == 1:
         box = np.array(STAGE_BOX)
         low, high = np.minimum(low, box[:2]), np.maximum(high, box[:2] + box[2:])
-        text = round(TEXT_SHARE * float((high - low).max()), 2)
-    else:
-        text = round(TEXT_SHARE * float((high - low).max()), 2)
+    text = round(TEXT_SHARE * float((high - low).max()), 2)
+    if len(trace.stages) > 1:
         margin = MARGIN_M + 2 * text
         low, high = low - margin, high + margin
     names = options if len(trace.stages) == 1 and base.only is None else ()
@@ -158,21 +159,8 @@ def _gate_marks(
         world = centers[index] + rotate_yaw(offsets, float(yaws[index]))
         (x1, y1), (x2, y2), (label_x, label_y), left, right = _to_page(world, base).round(2).tolist()
         name = names[index] if names and len(names[index]) <= NAME_LENGTH else ""
-        marks.append(
-            GateMark(
-                index + 1,
-                x1,
-                y1,
-                x2,
-                y2,
-                label_x,
-                label_y,
-                name,
-                gate.color,
-                index == target,
-                (*left, *right) if reach else None,
-            )
-        )
+        way, is_target = (*left, *right) if reach else None, index == target
+        marks.append(GateMark(index + 1, x1, y1, x2, y2, label_x, label_y, name, gate.color, is_target, way))
     return tuple(marks)
 
 
@@ -191,13 +179,6 @@ def _path_mark(page: FloatArray, outcome: Outcome) -> PathMark | None:
     x, y = page[-1] - (before[-1] if len(before) else page[0])
     heading = round(math.degrees(math.atan2(x, -y)), 1)
     return PathMark("M" + text, round(float(page[-1, 0]), 2), round(float(page[-1, 1]), 2), heading, outcome)
-
-
-def _start_corners(stage: Stage) -> FloatArray:
-    """(2, 3) world: two corners of the start box, m."""
-    reach = np.array([[-1.0, -1.0, 0.0], [1.0, 1.0, 0.0]]) * geometry.START_HALF_EXTENT
-    corners: FloatArray = rotate_yaw(geometry.START + reach, stage.yaw) + np.array([*stage.origin, 0.0])
-    return corners
 
 
 def _box(x: float, y: float, width: float, height: float) -> str:

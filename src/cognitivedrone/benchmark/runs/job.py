@@ -54,6 +54,7 @@ def platform_facts(command: str, policy: str = "", reasoner: str = "") -> dict[s
         "processor": system.processor(),
         "cores": str(os.cpu_count() or 1),
     }
+    installed = {Path(path).resolve() for path in sysconfig.get_paths().values()}  # they need no PYTHONPATH
     roots: list[str] = []
     for kind, name, table in (("policy", policy, POLICIES), ("reasoner", reasoner, REASONERS)):
         file = own_module(name, table)
@@ -61,7 +62,7 @@ def platform_facts(command: str, policy: str = "", reasoner: str = "") -> dict[s
             continue
         facts[f"{kind}_file"] = _shown(file)
         root = _root(file, name.partition(":")[0])
-        roots += [_shown(root)] if root not in _installed() and _shown(root) not in roots else []
+        roots += [_shown(root)] if root not in installed and _shown(root) not in roots else []
     if roots:
         facts["command"] = f"PYTHONPATH={shlex.quote(os.pathsep.join(roots))} {command}"
     return facts
@@ -87,11 +88,6 @@ def _root(file: Path, module: str) -> Path:
     """The folder on the module path that contains `module`."""
     levels = module.count(".") + (file.name == "__init__.py")
     return file.parents[levels]
-
-
-def _installed() -> set[Path]:
-    """Folders that need no PYTHONPATH."""
-    return {Path(path).resolve() for path in sysconfig.get_paths().values()}
 
 
 def _shown(path: Path) -> str:

@@ -214,10 +214,8 @@ def _content_of(file: Path) -> Any:
     """The content of run.json; raises `RunError`."""
     try:
         return parse_json(read_regular(file, MAX_RUN_BYTES).decode("utf-8"))
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise RunError(f"{file} cannot be read ({reason_of(error)}); give another --out, or --overwrite") from None
-    except ValueError as error:
-        raise RunError(f"{file} cannot be read ({error}); give another --out, or --overwrite") from None
 
 
 def _facts_in(path: Path) -> RunFacts:

@@ -170,12 +170,9 @@ def _fly_missing(
                 link = (link or LinkReport()) + flown.link
             new = counted_of(flown.result)
             passed, counted = passed + sum(passes(stage, plan.rule) for stage in new), counted + len(new)
-            bar.update(
-                task,
-                advance=1,
-                speed=f"{flown_now / (time.perf_counter() - began):.1f}/s",
-                rate=f"{passed / counted:.1%} passed" if counted else "",
-            )
+            speed = f"{flown_now / (time.perf_counter() - began):.1f}/s"
+            rate = f"{passed / counted:.1%} passed" if counted else ""
+            bar.update(task, advance=1, speed=speed, rate=rate)
     return link
 
 

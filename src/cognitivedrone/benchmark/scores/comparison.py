@@ -12,23 +12,15 @@ from typing import Final
 
 from cognitivedrone.benchmark.scores.results import Results, read_results
 from cognitivedrone.benchmark.scores.run_types import unanswered
-from cognitivedrone.benchmark.scores.scoring import (
-    Interval,
-    Paired,
-    counts,
-    difference_interval,
-    mcnemar,
-    pair,
-    passes,
-)
+from cognitivedrone.benchmark.scores.scoring import Interval, Paired, counts, difference_interval, mcnemar, pair, passes
 from cognitivedrone.errors import RunError
 from cognitivedrone.plan import Rule
 from cognitivedrone.types import ALL_CATEGORIES, Category, StageResult
 
 SIGNIFICANT: Final = 0.05
+"""A difference less probable than this by chance is called significant."""
 MACHINE: Final = {"system": "system", "machine": "architecture"}
 """What of a machine changes the last digits, by the keys of `platform` in results.json."""
-"""A difference less probable than this by chance is called significant."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,15 +52,12 @@ class EpisodeRunner(Protocol):
     @property
     def renderer(self) -> str:
         """Name of the renderer, such as "llvmpipe (LLVM 15.0.6, 256 bits)"."""
-        ...
 
     def fly(self, episode: int, *, film: bool) -> Rollout:
         """Fly the suite's track number `episode`; repeatable, in any order, in any process."""
-        ...
 
     def close(self) -> None:
         """Free the simulator."""
-        ...
 
 
 _GOES_ON: Final = ("passed", "wrong_gate")

@@ -90,21 +90,17 @@ _ROW = {"record", "tasks", "episode_index", "length", "data/chunk_index", "data/
 """Columns that are read."""
 
 
-def export(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
+def export_video(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
+    """Like `export`, with the frames in H.264 videos."""
+    return export(episodes, out, video=True)
+
+
+def export(episodes: Iterable[tuple[Split, Episode]], out: Path, *, video: bool = False) -> int:
     """Write the episodes with their frames in the parquet files, losslessly; returns their number.
 
     One episode is in memory at a time, and the numbers of all for the statistics. Raises `DataError` if `out` is not
     empty or cannot be written.
     """
-    return _export(episodes, out, video=False)
-
-
-def export_video(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
-    """Like `export`, with the frames in H.264 videos."""
-    return _export(episodes, out, video=True)
-
-
-def _export(episodes: Iterable[tuple[Split, Episode]], out: Path, *, video: bool) -> int:
     with new_folder(out) as partial:
         writer = _Writer(partial, video=video)
         try:

@@ -135,21 +135,12 @@ def task_table(tasks: list[str]) -> pa.Table:
     table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), index: pa.array(tasks, pa.string())})
 
     def column(name: str | None, field: str, kind: str, numpy_kind: str) -> dict[str, Any]:
-        return {
-            "name": name,
-            "field_name": field,
-            "pandas_type": kind,
-            "numpy_type": numpy_kind,
-            "metadata": None,
-        }
+        return {"name": name, "field_name": field, "pandas_type": kind, "numpy_type": numpy_kind, "metadata": None}
 
     pandas = {
         "index_columns": [index],
         "column_indexes": [column(None, "None", "unicode", "object") | {"metadata": {"encoding": "UTF-8"}}],
-        "columns": [
-            column("task_index", "task_index", "int64", "int64"),
-            column(None, index, "unicode", "object"),
-        ],
+        "columns": [column("task_index", "task_index", "int64", "int64"), column(None, index, "unicode", "object")],
         "pandas_version": "2.0.0",
         "creator": {"library": "pyarrow", "version": pa.__version__},
     }

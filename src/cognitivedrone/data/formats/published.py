@@ -20,7 +20,7 @@ differences. The layout has no place for frames of a camera that looks down: the
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -134,7 +134,11 @@ def flight_at(setup_path: Path, number: int, frame_lag: int) -> Episode:
     setup, rows = read_json(setup_path), _read_rows(folder / "data.csv")
     images = tuple(_read_frame(folder, frame) for frame in range(1, len(rows) + 1))
     if isinstance(setup, dict) and "flight" in setup:
-        return _own_flight(setup, rows, images, setup_path)[1]
+        flight = setup["flight"] if isinstance(setup["flight"], dict) else {}
+        arrays: dict[str, Any] = {name: flight[name] for name in STEP_ARRAYS if name in flight}
+        arrays["position"], arrays["quaternion"] = _pose(rows)
+        record = flight | {"task": {name: value for name, value in setup.items() if name != "flight"}}
+        return episode_from(record, images, arrays, str(setup_path))[1]
     return _foreign_flight(task_at(setup_path, setup), rows, images, number, folder, frame_lag)
 
 
@@ -236,10 +240,8 @@ def _read_rows(path: Path) -> NDArray[np.float64]:
     try:
         rows_of_text = read_table(decoded(read_regular(path, MAX_JSON_BYTES)), COLUMNS)
         header, *lines = [[cell.strip() for cell in line] for line in rows_of_text if line] or [[]]
-    except OSError as error:
+    except (OSError, ValueError, csv.Error) as error:
         raise DataError(f"{path}: cannot be read ({reason_of(error)})") from None
-    except (ValueError, csv.Error) as error:
-        raise DataError(f"{path}: cannot be read ({error})") from None
     missing = [name for name in COLUMNS if name not in header]
     if missing:
         raise DataError(f"{path}: column {missing[0]!r} is missing; it needs {','.join(COLUMNS)}")
@@ -277,16 +279,6 @@ def _pose(rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.fl
     return rows[:, 5:8].copy(), rows[:, [11, 8, 9, 10]]
 
 
-def _own_flight(
-    setup: Mapping[str, Any], rows: NDArray[np.float64], images: tuple[bytes, ...], where: Path
-) -> tuple[Split, Episode]:
-    flight = setup["flight"] if isinstance(setup["flight"], dict) else {}
-    arrays: dict[str, Any] = {name: flight[name] for name in STEP_ARRAYS if name in flight}
-    arrays["position"], arrays["quaternion"] = _pose(rows)
-    record = flight | {"task": {name: value for name, value in setup.items() if name != "flight"}}
-    return episode_from(record, images, arrays, str(where))
-
-
 def _foreign_flight(
     task: Task, rows: NDArray[np.float64], images: tuple[bytes, ...], index: int, folder: Path, frame_lag: int
 ) -> Episode:
@@ -304,14 +296,7 @@ def _foreign_flight(
         index=index,
         suite="published",
         task=task,
-        conditions=Conditions(
-            seed=0,
-            airframe="published",
-            look="published",
-            start_position=(x, y, z),
-            start_yaw=float(yaw[0]),
-            wind=(0.0, 0.0, 0.0),
-        ),
+        conditions=Conditions(0, "published", "published", (x, y, z), float(yaw[0]), (0.0, 0.0, 0.0)),
         encoding=encoding_of(frames, str(folder / "images")),
         images=frames,
         action=flown,

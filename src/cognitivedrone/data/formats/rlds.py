@@ -33,13 +33,7 @@ from cognitivedrone.data.formats.exchange import (
     write_json,
 )
 from cognitivedrone.data.formats.foreign import MISSING, Columns, foreign_episode
-from cognitivedrone.data.formats.tfrecord import (
-    Feature,
-    decode_example,
-    encode_example,
-    read_records,
-    write_record,
-)
+from cognitivedrone.data.formats.tfrecord import Feature, decode_example, encode_example, read_records, write_record
 from cognitivedrone.errors import DataError
 from cognitivedrone.files import create, own_files
 from cognitivedrone.text.json_text import parse_json
@@ -335,10 +329,7 @@ def _info(splits: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _dict(features: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "pythonClassName": _PREFIX + "features_dict.FeaturesDict",
-        "featuresDict": {"features": features},
-    }
+    return {"pythonClassName": _PREFIX + "features_dict.FeaturesDict", "featuresDict": {"features": features}}
 
 
 def _text() -> dict[str, Any]:
@@ -346,10 +337,7 @@ def _text() -> dict[str, Any]:
 
 
 def _scalar(dtype: str) -> dict[str, Any]:
-    return {
-        "pythonClassName": _PREFIX + "scalar.Scalar",
-        "tensor": {"dtype": dtype, "encoding": "none", "shape": {}},
-    }
+    return {"pythonClassName": _PREFIX + "scalar.Scalar", "tensor": {"dtype": dtype, "encoding": "none", "shape": {}}}
 
 
 def _tensor(dtype: str, size: int, encoding: str = "none") -> dict[str, Any]:

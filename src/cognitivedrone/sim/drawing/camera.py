@@ -207,19 +207,10 @@ class _Renderer:
         for picture, image in pictures.items():
             texture = write_picture(self._assets, slot, picture, image)
             mujoco.mjr_uploadTexture(self._assets.model, self._context, texture)
-        place = self._texture_of(appearance.place, slot)
-        aspects = [_aspect(image) for image in images]
-        self._movers[slot] = fill_scene(
-            self._scenes[slot],
-            self._assets,
-            slot,
-            stage,
-            aspects,
-            None if board is None else _aspect(board),
-            appearance,
-            place,
-        )
-        _set_lens(self._scenes[slot], FIELD_OF_VIEW)
+        place, scene = self._texture_of(appearance.place, slot), self._scenes[slot]
+        aspects, board_aspect = [_aspect(image) for image in images], None if board is None else _aspect(board)
+        self._movers[slot] = fill_scene(scene, self._assets, slot, stage, aspects, board_aspect, appearance, place)
+        _set_lens(scene, FIELD_OF_VIEW)
         self._stages[slot], self._looks[slot] = stage, appearance
 
     def _texture_of(self, place: str, slot: int) -> int:

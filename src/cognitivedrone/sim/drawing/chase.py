@@ -217,14 +217,8 @@ def _add_shadows(scene: Any, model: Any) -> None:
         shadow = scene.geoms[scene.ngeom]
         place = _TO_FLOOR @ geom.pos + [0.0, 0.0, _SHADOW_M]
         axes = (_TO_FLOOR @ geom.mat).reshape(-1)
-        mujoco.mjv_initGeom(
-            shadow,
-            geom.type,
-            geom.size,
-            place,
-            axes,
-            np.array([*_SHADOW[:3], _SHADOW[3] * min(1.0, 2 * geom.rgba[3])], np.float32),
-        )
+        color = np.array([*_SHADOW[:3], _SHADOW[3] * min(1.0, 2 * geom.rgba[3])], np.float32)
+        mujoco.mjv_initGeom(shadow, geom.type, geom.size, place, axes, color)
         shadow.dataid, shadow.matid, shadow.objid, shadow.category = geom.dataid, -1, -1, geom.category
         shadow.emission = shadow.specular = 0.0
         scene.ngeom += 1

@@ -26,7 +26,6 @@ class Readback(Protocol):
 
     def frames(self, drawn: Iterable[int], out: Images) -> Iterator[int]:
         """Read every frame of which `drawn`, by drawing it, yields the index in `out`; yields it when it is there."""
-        ...
 
 
 def readback(renderer: str, context: Any, width: int, height: int) -> Readback:

@@ -133,10 +133,7 @@ def _beside(labels: Labels, gates: Gates, target: int) -> list[_Way]:
         return ways
     here, there = (left, right) if target == 0 else (right, left)
     side = "left" if target == 0 else "right"
-    ways = [
-        ("beside next but not", {"x": middle, "y": there}),
-        ("beside opposite", {"x": there}),
-    ]
+    ways = [("beside next but not", {"x": middle, "y": there}), ("beside opposite", {"x": there})]
     if middle.startswith("the ") and here.startswith("the "):
         ways += [(f"relations {side}", {"x": _bare(middle)}), (f"relations directly {side}", {"x": _bare(middle)})]
     if there.startswith("the "):

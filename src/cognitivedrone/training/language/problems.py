@@ -192,9 +192,7 @@ class Problems:
         return replace(problem, labels=(labels[0], labels[1], labels[2]), target=target)
 
 
-@functools.cache
-def _fact_questions() -> FactQuestions:
-    return FactQuestions()
+_fact_questions = functools.cache(FactQuestions)
 
 
 def problem_of(task: Task, family: str | None = None) -> Problem:

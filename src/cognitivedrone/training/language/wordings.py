@@ -234,10 +234,6 @@ def _own(phrase: str, slots: dict[str, str]) -> tuple[str, ...]:
     return lines + _typed("worn") if _ALL_WORN.fullmatch(slots["x"]) else lines
 
 
-def _shows_person(scene: Scene) -> bool:
-    return scene.labels[scene.target].startswith("person/")
-
-
 def _renamed(rng: np.random.Generator, sentence: str, named: re.Pattern[str]) -> str:
     """The sentence with other names for what is `named`: "a woolly hat" for "a beanie"."""
 
@@ -266,8 +262,9 @@ class Typed(Pools):
 
     def completed(self, rng: np.random.Generator, sentence: str, scene: Scene) -> str:
         """The sentence with `{other}` and `{gate}` filled in, and sums often in words."""
-        sentence = _spoken_sum(rng, sentence, scene.labels[scene.target])
-        sentence = _renamed(rng, sentence, _ANY_SHOWN if _shows_person(scene) else _ANY_KIND)
+        label = scene.labels[scene.target]
+        sentence = _spoken_sum(rng, sentence, label)
+        sentence = _renamed(rng, sentence, _ANY_SHOWN if label.startswith("person/") else _ANY_KIND)
         if "{" not in sentence:
             return sentence
         others = [index for index in range(3) if index != scene.target]

@@ -217,11 +217,7 @@ def _fitted(config: FineTuning, accelerator: Accelerator) -> LoraRecipe:
 
 
 def _train(
-    config: FineTuning,
-    recipe: LoraRecipe,
-    accelerator: Accelerator,
-    found: Found | None,
-    report: Callable[[str], None],
+    config: FineTuning, recipe: LoraRecipe, accelerator: Accelerator, found: Found | None, report: Callable[[str], None]
 ) -> None:
     """Train by a recipe that fits the machine."""
     base = config.checkpoint

@@ -83,9 +83,7 @@ def truths(poses: Poses, stages: list[Stage], chunk: int, expert: ExpertConfig) 
     stands = np.array([[index in geometry.standing(stage) for index in range(3)] for stage in stages])
     heading = yaw_of(poses.quaternion)
     ahead_m = np.einsum(
-        "nmk,nmk->nm",
-        centers[..., :2] - poses.position[:, None, :2],
-        np.stack([np.cos(yaws), np.sin(yaws)], axis=-1),
+        "nmk,nmk->nm", centers[..., :2] - poses.position[:, None, :2], np.stack([np.cos(yaws), np.sin(yaws)], axis=-1)
     )
     ahead = (ahead_m > CLOSEST) & stands
     gate = project(centers, poses.position, poses.quaternion)

@@ -91,14 +91,11 @@ class WiderWorld:
         if chance < _OTHER_THING:
             return self.photographic.draw(self.pictures.other(rng), rng)
         if chance < _OTHER_THING + _PART:
-            label = draw_known_label(rng)
-            whole = PillowImage.fromarray(self.pictures.panel(label))
+            whole = PillowImage.fromarray(self.pictures.panel(draw_known_label(rng)))
             size = whole.width * rng.uniform(0.12, 0.25)
             left, top = rng.uniform(0.1, 0.65, 2) * whole.width
-            part = whole.resize(
-                (_SIDE, _SIDE), PillowImage.Resampling.BILINEAR, box=(left, top, left + size, top + size)
-            )
-            return np.asarray(part)
+            box = (left, top, left + size, top + size)
+            return np.asarray(whole.resize((_SIDE, _SIDE), PillowImage.Resampling.BILINEAR, box))
         plain = background(_SIDE, rng, plain=rng.random() < 0.3)
         return plain.clip(0, 255).transpose(1, 2, 0).astype(np.uint8)
 
@@ -142,8 +139,7 @@ class PanelCrops:
     def _add_picture(self, rng: np.random.Generator) -> None:
         """Store one more picture, replacing another if the store is full."""
         label = self._draw_label(rng)
-        shown = (label, None) if self._wider is None else self._wider.redrawn(label, rng)
-        label, pixels = shown
+        label, pixels = (label, None) if self._wider is None else self._wider.redrawn(label, rng)
         if pixels is None:
             pixels = self._labels.image(label)
             if rng.random() < _RESTYLED:
@@ -188,11 +184,8 @@ def panel_image_of(picture: PillowImage.Image, size: int, rng: np.random.Generat
     room = 2 * tall
     wall = (rng.uniform(0.3, 1.0) + rng.normal(0, 0.08, 3)).clip(0, 1) * 255
     canvas = PillowImage.new("RGB", (room, room), tuple(int(value) for value in wall))
-    if tall < _SIDE:
-        picture = picture.resize((wide, tall), PillowImage.Resampling.BOX)
-    else:
-        picture = picture.resize((wide, tall), PillowImage.Resampling.BILINEAR)
-    canvas.paste(picture, ((room - wide) // 2, (room - tall) // 2))
+    how = PillowImage.Resampling.BOX if tall < _SIDE else PillowImage.Resampling.BILINEAR
+    canvas.paste(picture.resize((wide, tall), how), ((room - wide) // 2, (room - tall) // 2))
     # Map from crop to canvas, around both centres.
     reach = REACH * tall * float(np.exp(rng.normal(0, _SCALE))) / size
     shear_x, shear_y = rng.normal(0, _SHEAR, 2) + rng.normal(0, _ROLL) * np.array([1, -1])

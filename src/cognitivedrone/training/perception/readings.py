@@ -156,9 +156,13 @@ def readings_of(
     return Readings(index, read_bank(reader, index, panel_crops.draw))
 
 
+@torch.no_grad()
 def calibrated(reader: Reader, index: AttributeIndex) -> dict[str, float]:
-    """Set the reader's temperatures, group by group; returns those that were found."""
-    logits, attributes = calibration_readings(reader, index)
+    """Set the reader's temperatures, group by group, by crops of the sets for calibration; returns those found."""
+    draw = calibration_crops(reader.config.crop_size, index).draw
+    answers = [*_answers(reader, draw, np.random.default_rng(_SEED), range(-(-CALIBRATION_CROPS // 200)))]
+    logits = torch.cat([logits for logits, _ in answers]) * reader.temperature
+    attributes = torch.from_numpy(np.concatenate([attributes for _, attributes in answers]))
     found: dict[str, float] = {}
     for column, (group, span) in enumerate(index.groups.items()):
         there = attributes[:, column] >= 0
@@ -173,15 +177,6 @@ def temperature_of(logits: Tensor, target: Tensor) -> float:
     """The temperature by which logits (n, classes) predict targets (n,) best, in likelihood."""
     losses = [float(F.cross_entropy(logits / float(value), target)) for value in _TEMPERATURES]
     return float(_TEMPERATURES[int(np.argmin(losses))])
-
-
-@torch.no_grad()
-def calibration_readings(reader: Reader, index: AttributeIndex) -> tuple[Tensor, Tensor]:
-    """Uncalibrated logits (n, F) of crops of the sets for calibration, and their attribute values (n, groups)."""
-    draw = calibration_crops(reader.config.crop_size, index).draw
-    answers = [*_answers(reader, draw, np.random.default_rng(_SEED), range(-(-CALIBRATION_CROPS // 200)))]
-    logits = torch.cat([logits for logits, _ in answers]) * reader.temperature
-    return logits, torch.from_numpy(np.concatenate([attributes for _, attributes in answers]))
 
 
 def calibration_crops(crop_size: int, index: AttributeIndex) -> PanelCrops:

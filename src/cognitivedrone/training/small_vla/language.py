@@ -49,12 +49,7 @@ def described(
     return {**tokens, **scenes(rng, problems, readings, mix)}
 
 
-def scenes(
-    rng: np.random.Generator,
-    problems: Sequence[Problem],
-    readings: Readings,
-    mix: TextMix,
-) -> Batch:
+def scenes(rng: np.random.Generator, problems: Sequence[Problem], readings: Readings, mix: TextMix) -> Batch:
     """The scenes of T problems, as a panel reader could have read them.
 
     text_panels (T, 3, F) and text_board (T, F), probabilities of attribute values;

@@ -59,12 +59,13 @@ class SmallVlaLosses(nn.Module):
         present = torch.cat([batch["in_view"], torch.ones_like(batch["in_view"][:, :1])], dim=1)
         logits = logits + (present.float()[:, None] - 1) * 1e4
         raw = network.flight.act(seen, batch["state"])
+        target, taught = action_targets(batch)
         parts = {
             "heat": _heat_loss(scene, batch, slots, board_cell_known),
             "place": _place_loss(seen, batch, slots, board_cell_known),
             "looks": _looks_loss(seen, batch),
             "choice": F.cross_entropy(logits.flatten(0, 1), batch["choice"].flatten()),
-            "action": self._action_loss(raw, batch),
+            "action": known_mean(action_loss(network.flight, raw, target).mean(dim=(-1, -2)), taught),
         }
         total = torch.stack([getattr(weights, name) * loss for name, loss in parts.items()]).sum()
         measures = {name: loss.detach() for name, loss in parts.items()}
@@ -88,10 +89,6 @@ class SmallVlaLosses(nn.Module):
             batch["legible"][:, SLOTS].float().repeat_interleave(sentences, 0),
         )
         return network.language.match(query.view(n, sentences, -1), read[:, :SLOTS], looks)
-
-    def _action_loss(self, raw: Tensor, batch: dict[str, Tensor]) -> Tensor:
-        target, taught = action_targets(batch)
-        return known_mean(action_loss(self.network.flight, raw, target).mean(dim=(-1, -2)), taught)
 
 
 def action_targets(batch: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
@@ -118,15 +115,10 @@ def true_slots(batch: dict[str, Tensor], *, jitter: bool) -> tuple[Slots, Tensor
         row = row + beside * torch.randint(-1, 2, column.shape, device=column.device)
     board = batch["panel"][:, SLOTS]
     board_column, board_row = (torch.div(board[:, axis], STRIDE, rounding_mode="floor").long() for axis in (0, 1))
-    known = batch["legible"][:, SLOTS]
     last = CELLS - 1
-    return (
-        Slots(
-            row.clamp(0, last) * CELLS + column.clamp(0, last),
-            board_row.clamp(0, last) * CELLS + board_column.clamp(0, last),
-        ),
-        known,
-    )
+    cells = row.clamp(0, last) * CELLS + column.clamp(0, last)
+    board_cell = board_row.clamp(0, last) * CELLS + board_column.clamp(0, last)
+    return Slots(cells, board_cell), batch["legible"][:, SLOTS]
 
 
 def _place_loss(seen: Seen, batch: dict[str, Tensor], slots: Slots, board_known: Tensor) -> Tensor:

@@ -212,11 +212,7 @@ class FlightRecipe(TrainRecipe):
 
 
 FLIGHT = FlightRecipe(
-    name="flight",
-    steps=2_000,
-    learning_rate=5e-4,
-    decay_share=0.6,
-    stream=StreamRecipe(typed=0.5, layouts=0.8),
+    name="flight", steps=2_000, learning_rate=5e-4, decay_share=0.6, stream=StreamRecipe(typed=0.5, layouts=0.8)
 )
 
 PLACES = replace(

@@ -14,7 +14,7 @@ import numpy as np
 from cognitivedrone.models.words.text_encoder import TextEncoderModel
 from cognitivedrone.policies.expert import ExpertConfig
 from cognitivedrone.tasks.directives import write_directive
-from cognitivedrone.tasks.generate import TRAIN, Pools
+from cognitivedrone.tasks.generate import TRAIN
 from cognitivedrone.training.language.problems import is_held_out
 from cognitivedrone.training.language.questions import ask
 from cognitivedrone.training.language.wordings import TYPED
@@ -131,7 +131,8 @@ class Sampler:
             plain = rng.random() < 0.25
             among = visible if plain else readable
             target = each.flown if rng.random() < 0.35 or not among else int(rng.choice(among))
-            pools = self._pools(rng)
+            # A recipe with a share of zero draws nothing for it.
+            pools = TYPED if self.recipe.typed and rng.random() < self.recipe.typed else TRAIN
             if not plain and pools is TRAIN and target == task.target and rng.random() < 0.5:
                 text, family = task.instruction, task.family
             else:
@@ -142,10 +143,6 @@ class Sampler:
                 # The answer is unknowable: ask for something visible.
                 text = ask(rng, each.stage.labels, None, task.gates, target, None, pools).text
             yield write_directive(task.gates[target]) if is_held_out(text) else text, target
-
-    def _pools(self, rng: np.random.Generator) -> Pools:
-        """The ingredients of the next sentence; a recipe with a share of zero draws nothing for it."""
-        return TYPED if self.recipe.typed and rng.random() < self.recipe.typed else TRAIN
 
 
 def _straight_ahead(row: int, each: Setting, known: Truths) -> int:

@@ -219,15 +219,10 @@ class Recorded:
         settings = [self._setting(row) for row in self._episode[steps].tolist()]
         poses = Poses(*(values[steps] for values in self._poses))
         batch = self._sampler.sample(rng, poses, settings, self._store.steps(steps)["image"])
-        ahead = self._ahead(steps)
+        ends = np.searchsorted(self._episode, self._episode[steps], side="right") - 1  # the last steps of the flights
+        ahead = np.minimum(steps[:, None] + np.arange(self._recipe.chunk), ends[:, None])
         batch["action"][np.arange(len(steps)), batch["flown"]] = self._action[ahead]
         return batch
-
-    def _ahead(self, steps: NDArray[np.int64]) -> NDArray[np.int64]:
-        """(n, chunk) numbers of the following steps, clamped to the flight's last."""
-        ends = np.searchsorted(self._episode, self._episode[steps], side="right") - 1
-        ahead: NDArray[np.int64] = np.minimum(steps[:, None] + np.arange(self._recipe.chunk), ends[:, None])
-        return ahead
 
     def _setting(self, row: int) -> Setting:
         if row not in self._settings:

@@ -141,12 +141,13 @@ def read_lesson(labels: Path, tasks: Path | None = None) -> Lesson:
     for references in pictures.values():
         for reference in references:
             pack.image(reference)  # a broken picture is found before any training
-    read = _shown(pack, tuple(task for path in _task_files(tasks) for task in read_tasks(path)))
+    files = [] if tasks is None else task_files(tasks, training=True)
+    read = _shown(pack, tuple(task for path in files for task in read_tasks(path)))
     table = facts_file(labels)
     facts = stated(table, kinds) if table else []
     _tell_collisions(pictures)
     digest = hashlib.sha256(pack.digest.encode())
-    for path in (*_task_files(tasks), *([table] if table else [])):
+    for path in (*files, *([table] if table else [])):
         digest.update(read_regular(path, MAX_FILE_BYTES))
     statements = (*_by_name(pictures, kinds), *_by_tasks(read, pictures), *facts)
     return Lesson(labels, read, pictures, kinds, statements, len(facts), digest.hexdigest())
@@ -198,17 +199,14 @@ def _by_name(pictures: dict[str, tuple[str, ...]], kinds: dict[str, str]) -> lis
         noun = concept.replace("_", " ")
         if kind == "thing":
             folder = _NOT_LETTERS.sub(" ", folded(kinds[name])).strip()
-            phrases = (f"{noun} of {folder}", f"the {noun} among {folder}") if noun in shared else _named(noun)
+            plain: tuple[str, ...] = (noun, f"the {noun}", f"a {noun}")
+            phrases = (f"{noun} of {folder}", f"the {noun} among {folder}") if noun in shared else plain
         else:
             phrases = (f"the {kind} {noun}",) if noun in shared else (noun, f"the {kind} {noun}")
         others = tuple(other for other in pictures if other != name)
         alike = tuple(other for other in others if kinds[other] == kinds[name])
         made.append(Statement(phrases, (), (name,), alike if len(alike) > 1 else others, by_name=True))
     return made
-
-
-def _named(noun: str) -> tuple[str, ...]:
-    return noun, f"the {noun}", f"a {noun}"
 
 
 def _shared_names(pictures: Iterable[str]) -> frozenset[str]:
@@ -273,7 +271,3 @@ def _shown(pack: FolderPack, tasks: tuple[Task, ...]) -> tuple[Task, ...]:
     if len(kept) < len(tasks):
         warnings.warn(f"{len(tasks) - len(kept)} of {len(tasks)} tasks are left out: {missing}", stacklevel=3)
     return tuple(kept)
-
-
-def _task_files(tasks: Path | None) -> list[Path]:
-    return [] if tasks is None else task_files(tasks, training=True)

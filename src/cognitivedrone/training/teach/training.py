@@ -48,21 +48,18 @@ from cognitivedrone.training.trainer.training_task import (
 _UNSEEN_BIAS = -4.0  # a new concept begins as an unlikely one
 
 
-def with_names(known: tuple[str, ...], new: tuple[str, ...]) -> tuple[str, ...]:
-    """A list of attribute values with new ones at the end of the concepts, because groups are contiguous."""
-    end = AttributeSchema(known).groups["concept"].stop
-    return (*known[:end], *new, *known[end:])
-
-
 def grown_policy(start: StartingPoint, names: tuple[str, ...]) -> SmallVLA:
     """A policy for more attribute values. A new one begins as what its name means, so it is understood by name."""
     before = trained(start)
     assert before.reader is not None and before.language is not None  # noqa: S101, PT018  (for the type checker)
     network = SmallVLA(before.config, AttributeSchema(names))
-    rows = _rows(before.schema.names, names)
+    rows = [names.index(name) for name in before.schema.names]
     moved = ("reader.attributes.weight", "reader.attributes.bias", "reader.temperature", "language.prototypes")
-    _move(before, network, moved, rows)
-    new = [row for row in range(len(names)) if row not in set(rows.tolist())]
+    state = network.state_dict()
+    for name, value in before.state_dict().items():
+        state[name] = state[name].index_copy(0, torch.tensor(rows), value) if name in moved else value
+    network.load_state_dict(state)
+    new = sorted({*range(len(names))}.difference(rows))
     if new:
         concepts = [name for name in before.schema.names if name.startswith("concept/")]
         encoder = TextEncoderModel.load(encoder_of(start.path))
@@ -75,20 +72,6 @@ def grown_policy(start: StartingPoint, names: tuple[str, ...]) -> SmallVLA:
             length = before.language.prototypes.norm(dim=-1).mean()
             network.language.prototypes[new] = length * F.normalize(taught - known.mean(0), dim=-1)
     return network
-
-
-def _rows(before: tuple[str, ...], after: tuple[str, ...]) -> Tensor:
-    """For each name of before, its index in after."""
-    places = {name: index for index, name in enumerate(after)}
-    return torch.tensor([places[name] for name in before])
-
-
-def _move(before: nn.Module, after: nn.Module, moved: Sequence[str], rows: Tensor) -> None:
-    """Copy all weights; those in `moved` to other rows."""
-    state = after.state_dict()
-    for name, value in before.state_dict().items():
-        state[name] = state[name].index_copy(0, rows, value) if name in moved else value
-    after.load_state_dict(state)
 
 
 _POOL, _REPEATS = 16, 4  # batches whose sentences are encoded at once, and how often each sentence is used
@@ -169,9 +152,10 @@ class TeachTraining(TrainingTask):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The attribute values that were known, and the new ones."""
+        """The attribute values that were known, and the new ones at the end of the concepts: groups are contiguous."""
         known = tuple(self.policy.facts["attributes"])
-        return with_names(known, self.lesson.new(known))
+        end = AttributeSchema(known).groups["concept"].stop
+        return (*known[:end], *self.lesson.new(known), *known[end:])
 
     def identity(self) -> dict[str, Any]:
         """Recipe, lesson and start."""
@@ -247,9 +231,8 @@ class _Makers:
     def __init__(self, training: TeachTraining) -> None:
         self.training = training
         index = AttributeIndex(training.names)
-        readings = training.readings.moved(index)
         config = training.policy.facts["recipe"]["network"]
-        self._readings = readings
+        self._readings = training.readings.moved(index)
         self._encoder = TextEncoderModel.load(encoder_of(training.policy.path), threads=torch.get_num_threads())
         self._crops = LessonCrops(training.lesson, index, config["reader"]["crop_size"])
 

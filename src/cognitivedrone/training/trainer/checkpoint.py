@@ -155,11 +155,6 @@ def step_of(facts: Mapping[str, Any], last: int) -> int:
     return step
 
 
-def origin_of(facts: dict[str, Any]) -> str:
-    """A description of the origin of a training run that starts from a checkpoint with these facts."""
-    return f"from {facts['recipe']['name']}, step {facts['step']}, seed {facts['seed']}"
-
-
 METRICS = "metrics.jsonl"
 CURVES = "curves.png"
 BOARD = "tensorboard"

@@ -15,7 +15,7 @@ from cognitivedrone.errors import TrainingError
 from cognitivedrone.rollout import cards
 from cognitivedrone.system.processes import end_with_parent, starting
 from cognitivedrone.training.trainer.checkpoint import read_checkpoint, restore
-from cognitivedrone.training.trainer.training_task import Batch, TrainingTask, Watched
+from cognitivedrone.training.trainer.training_task import Batch, TrainingTask
 
 _AHEAD = 6  # batches made in advance
 _PATIENCE_S = 600.0
@@ -99,12 +99,12 @@ def _generate(
     torch.set_num_threads(1)
     schedule, batches_of, network = training_task.recipe, training_task.batches(), training_task.network()
     learner = training_task.learner(network)
-    if isinstance(batches_of, Watched):
+    if watch := getattr(batches_of, "watch", None):
 
         def report(*made_of_wanted: int) -> None:
             filled[:] = made_of_wanted
 
-        batches_of.watch(report)
+        watch(report)
     for round_ in range(first_round, -(-schedule.steps // schedule.round_steps)):
         flown = round_ >= 2 and learner is not None
         if flown:

@@ -19,7 +19,7 @@ from cognitivedrone.models.mind import LANGUAGE_FILE
 from cognitivedrone.models.onnx_file import LARGEST_BYTES
 from cognitivedrone.models.small_file import FORMER, KIND, MODEL_FILE
 from cognitivedrone.models.words.text_encoder import TextEncoderModel, encoder_of
-from cognitivedrone.training.trainer.checkpoint import origin_of, read_checkpoint
+from cognitivedrone.training.trainer.checkpoint import read_checkpoint
 
 Part = Literal["policy", "language", "reader", "selector"]
 _HAS: dict[Part, tuple[Part, ...]] = {"policy": ("language", "reader"), "language": ("reader",)}
@@ -39,7 +39,10 @@ class StartingPoint:
 
     def tensors(self) -> dict[str, Tensor]:
         """The weights by name."""
-        return _weights(self.path)
+        if self.path.suffix == ".onnx":
+            return _weights_of_model(self.path)
+        tensors, _ = read_checkpoint(self.path)
+        return {name.removeprefix("network."): value for name, value in tensors.items() if name.startswith("network.")}
 
     def reader_facts(self) -> dict[str, Any]:
         """Sizes of the panel reader. Raises `TrainingError` if there is none."""
@@ -104,7 +107,8 @@ def read_start(path: Path | None, part: Part) -> StartingPoint:
     found = _part_of(facts["recipe"])
     if found != part and part not in _HAS.get(found, ()):
         raise TrainingError(f"{path}: this is the checkpoint of a {found}; expected that of a {part}")
-    return StartingPoint(path, found, origin_of(facts), facts)
+    origin = f"from {facts['recipe']['name']}, step {facts['step']}, seed {facts['seed']}"
+    return StartingPoint(path, found, origin, facts)
 
 
 def restore_part(start: StartingPoint, part: str, network: nn.Module) -> None:
@@ -123,13 +127,6 @@ def _load(path: Path, network: nn.Module, tensors: dict[str, Tensor]) -> None:
     except (KeyError, RuntimeError) as error:
         reason = str(error).splitlines()[-1].strip()
         raise TrainingError(f"{path}: its weights are those of another network ({reason})") from None
-
-
-def _weights(path: Path) -> dict[str, Tensor]:
-    if path.suffix == ".onnx":
-        return _weights_of_model(path)
-    tensors, _ = read_checkpoint(path)
-    return {name.removeprefix("network."): value for name, value in tensors.items() if name.startswith("network.")}
 
 
 def _weights_of_model(path: Path) -> dict[str, Tensor]:

@@ -112,12 +112,13 @@ def _trained(config: TrainConfig, report: Callable[[str], None]) -> Path:
         pace = Pace(accelerator.device)
         manager = _CheckpointManager(config, accelerator, pace, report) if accelerator.is_main_process else None
         for batch in pace.over(prefetch):
-            _seed_step(config.seed, rank, step)
+            # Independent of earlier steps, so that a resumed training is the same.
+            torch.manual_seed((config.seed * 1_000_003 + rank) * 10_000_019 + step)
             measures = _step(loss_module, optimizer, accelerator, batch, schedule, step)
             step += 1
             if manager is not None:
                 manager.follow(measures)
-                progress.update(bar, completed=step, note=manager.note() or "training")
+                progress.update(bar, completed=step, note=manager.recent or "training")
             if step % schedule.round_steps == 0 or step == schedule.steps:
                 if manager is not None:
                     progress.update(bar, note="validating, writing")
@@ -162,11 +163,6 @@ _IDENTITY = ("recipe", "seed", "data")
 
 def _identity(config: TrainConfig) -> dict[str, Any]:
     return {**config.training_task.identity(), "seed": config.seed}
-
-
-def _seed_step(seed: int, rank: int, step: int) -> None:
-    """Seed the randomness of a step independently of earlier steps, so that a resumed training is the same."""
-    torch.manual_seed((seed * 1_000_003 + rank) * 10_000_019 + step)
 
 
 def _step(
@@ -268,7 +264,8 @@ class _CheckpointManager:
         self._facts = _identity(config) | config.training_task.facts()
         self._sums: dict[str, float] = defaultdict(float)
         self._count = 0
-        self._recent = ""
+        self.recent = ""
+        """The text beside the progress bar."""
         self._log = RunLog(config.out, report, "steps_per_s", _HEADLINES)
         self._batches: list[Batch] = config.training_task.validation(config.seed)
 
@@ -279,11 +276,7 @@ class _CheckpointManager:
         self._count += 1
         if self._count % 10 == 0:
             shown = [name for name in ("loss", "choice accuracy") if name in self._sums]
-            self._recent = ", ".join(f"{name} {self._sums[name] / self._count:.3f}" for name in shown)
-
-    def note(self) -> str:
-        """The text beside the progress bar."""
-        return self._recent
+            self.recent = ", ".join(f"{name} {self._sums[name] / self._count:.3f}" for name in shown)
 
     def end_round(self, loss_module: Any, optimizer: torch.optim.Optimizer, step: int) -> None:
         """Validate and run trials if due, then save the state of the training."""

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Final, Protocol, Self, TypeAlias, runtime_checkable
+from typing import Any, ClassVar, Final, Protocol, Self, TypeAlias
 
 import numpy as np
 import torch
@@ -106,7 +106,6 @@ class Learner(Protocol):
 
     def act(self, images: Image, states: NDArray[np.float32], texts: list[str]) -> FloatArray:
         """Actions (n, 4), m/s and rad/s."""
-        ...
 
 
 class Batches(Protocol):
@@ -114,20 +113,11 @@ class Batches(Protocol):
 
     def __call__(self, seed: tuple[int, ...], learner: Learner | None = None) -> Iterator[Batch]:
         """If there are flights, the `learner` flies some of them."""
-        ...
 
 
 Filling: TypeAlias = Callable[[int, int], None]
-"""Called with the number of samples made, and the number needed before the next batches can be drawn."""
-
-
-@runtime_checkable
-class Watched(Protocol):
-    """Batches with a slow start that report their progress."""
-
-    def watch(self, report: Filling) -> None:
-        """Register a callback for the progress."""
-        ...
+"""Called with the number of samples made, and the number needed before the next batches can be drawn, by batches with a
+slow start: they have a method `watch` that takes it."""
 
 
 class TrainingTask(ABC):

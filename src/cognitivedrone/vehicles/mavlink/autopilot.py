@@ -197,12 +197,6 @@ RENAMED: Final[Mapping[str, Rename]] = {
 """By the name in 4.6."""
 
 
-def name_in(name: str, version: tuple[int, int] | None) -> str:
-    """The name of a parameter in a version of ArduCopter; that of 4.6 where the version is not known."""
-    renamed = name in RENAMED and version is not None and version >= RENAMED_SINCE
-    return RENAMED[name].name if renamed else name
-
-
 def with_both_names(values: Mapping[str, float]) -> dict[str, float]:
     """Values of 4.6 under both names, for a parameter file: ArduCopter ignores the names that it does not have."""
     return {**values, **{RENAMED[name].name: RENAMED[name].newer(v) for name, v in values.items() if name in RENAMED}}
@@ -230,9 +224,11 @@ def read_by_either_name(
 ) -> dict[str, Own]:
     """What a vehicle has, by the names of 4.6.
 
-    `read` asks the vehicle for names, and takes long for those that it does not have: what its version says first.
+    `read` asks the vehicle for names, and takes long for those that it does not have: what its version says first,
+    which is 4.6 where it is not known.
     """
-    first = {name: name_in(name, version) for name in names}
+    renamed = version is not None and version >= RENAMED_SINCE
+    first = {name: RENAMED[name].name if renamed and name in RENAMED else name for name in names}
     found = read(list(first.values()))
     own = {name: Own(asked, found[asked]) for name, asked in first.items()}
     missing = [name for name, it in own.items() if it.value is None and name in RENAMED]

@@ -43,10 +43,8 @@ def open_sitl(request: Request) -> Vehicle:
     binary = autopilot_file(request.spec)
     if binary is None:
         raise LinkError(f"--link {request.spec.link} starts no ArduCopter; expected sitl")
-    return GuardedSitl(request, binary) if request.pace == "wall" else _lockstep(request, binary)
-
-
-def _lockstep(request: Request, binary: Path) -> SimulatedFlight:
+    if request.pace == "wall":
+        return GuardedSitl(request, binary)
     with ExitStack() as undo:
         flight = SitlFlight(binary, request.airframe)
         undo.callback(flight.close)
@@ -135,26 +133,16 @@ class GuardedSitl:
         request, safety = self._request, self._request.safety
         source = PlantCamera(self._view, plant)
         source.look(0.0)
-        server = self._undo.enter_context(SitlServer(plant, instance=safety.sitl_instance, control=source.look))
+        instance = safety.sitl_instance
+        server = self._undo.enter_context(SitlServer(plant, instance=instance, control=source.look))
         self._undo.enter_context(serving(server))
         folder = request.folder or self._undo.enter_context(TemporaryFolder("sitl"))
         folder.mkdir(parents=True, exist_ok=True)
-        autopilot = self._undo.enter_context(
-            ArduCopter(
-                self._binary,
-                folder.resolve(),
-                instance=safety.sitl_instance,
-                airframe=request.airframe,
-                defaults=safety.sitl_defaults,
-            )
-        )
-        config = replace(
-            mavlink_config(safety, folder),
-            clock="vehicle",
-            set_parameters=True,
-            put_back=False,
-            ready_timeout_s=READY_S,
-        )
+        airframe, defaults = request.airframe, safety.sitl_defaults
+        copter = ArduCopter(self._binary, folder.resolve(), instance=instance, airframe=airframe, defaults=defaults)
+        autopilot = self._undo.enter_context(copter)
+        asked = mavlink_config(safety, folder)
+        config = replace(asked, clock="vehicle", set_parameters=True, put_back=False, ready_timeout_s=READY_S)
         camera = WatchedCamera(source)
         drone = autopilot.connect(lambda url: SupervisedDrone(url, camera, safety_rules(safety), config))
         self._vehicle = MavlinkVehicle(drone, camera, simulated=True)

@@ -31,7 +31,7 @@ from cognitivedrone.frames import rotate_yaw
 from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.labels import load_pack
 from cognitivedrone.tasks import Suite, open_suite
-from cognitivedrone.types import Image, Stage, Task, Track
+from cognitivedrone.types import Image, Stage, Track
 from cognitivedrone.vehicles.gazebo.bindings import Release, release_named
 from cognitivedrone.vehicles.gazebo.worlds.sdf import (
     MATERIALS,
@@ -184,7 +184,8 @@ def _mesh_texts() -> dict[str, str]:
 
 def _readme(track: Track, names: Sequence[str], release: Release) -> str:
     text = resources.files(__package__).joinpath("export_readme.md").read_text(encoding="utf-8")
-    rows = [f"| `{name}` | {task.id} | {_cell(task)} |" for name, task in zip(names, track, strict=True)]
+    cells = [task.instruction.replace("|", "\\|").replace("\n", " ") for task in track]
+    rows = [f"| `{name}` | {task.id} | {cell} |" for name, task, cell in zip(names, track, cells, strict=True)]
     return Template(text).substitute(
         release=release.name.capitalize(),
         package=release.package,
@@ -194,10 +195,6 @@ def _readme(track: Track, names: Sequence[str], release: Release) -> str:
         parameters=PARAMETERS_FILE,
         build=release.name,
     )
-
-
-def _cell(task: Task) -> str:
-    return task.instruction.replace("|", "\\|").replace("\n", " ")
 
 
 COMMANDS = ("gz", "ign")

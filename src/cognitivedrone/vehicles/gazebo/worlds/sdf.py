@@ -243,7 +243,7 @@ def prop_model(prop: Prop, folder: str = "") -> ET.Element:
     visual = new("visual", {"cast_shadows": "false", "geometry": {"mesh": mesh}}, name="visual")
     visual.append(material(prop.paint, prop.texture and f"{folder}textures/{prop.texture}"))
     model = new("model", {"static": "true", "pose": (*prop.position, 0.0, 0.0, prop.yaw)}, name=prop.name)
-    add(model, "link", name="link").append(visual)
+    ET.SubElement(model, "link", name="link").append(visual)
     return model
 
 
@@ -261,7 +261,7 @@ def world(stage: Stage, props: Sequence[Prop], appearance: Appearance, vehicle: 
     physics = {"max_step_size": STEP_S, "real_time_factor": 1}
     element.append(new("physics", physics, name="lockstep", type="ignored"))
     for filename, name in _SYSTEMS:
-        add(element, "plugin", filename=filename, name=name)
+        ET.SubElement(element, "plugin", filename=filename, name=name)
     sensors = {"filename": "gz-sim-sensors-system", "name": "gz::sim::systems::Sensors"}
     element.append(new("plugin", {"render_engine": "ogre2"}, **sensors))
     latitude, longitude, elevation = _HOME
@@ -311,11 +311,6 @@ def fill(parent: ET.Element, fields: Fields) -> ET.Element:
     return parent
 
 
-def add(parent: ET.Element, tag: str, **attributes: str) -> ET.Element:
-    """Append a child element; returns it."""
-    return ET.SubElement(parent, tag, attributes)
-
-
 def numbers(*values: float) -> str:
     """Numbers formatted for SDF, with nine digits; 0 without a sign."""
     return " ".join(format(float(value) + 0.0, ".9g") for value in values)
@@ -344,5 +339,5 @@ def _ground() -> ET.Element:
     """The ground under the vehicle: infinite and invisible, so that it need not move with the stage."""
     plane = new("collision", {"geometry": {"plane": {"normal": (0, 0, 1), "size": (1, 1)}}}, name="collision")
     model = new("model", {"static": "true"}, name="ground")
-    add(model, "link", name="link").append(plane)
+    ET.SubElement(model, "link", name="link").append(plane)
     return model

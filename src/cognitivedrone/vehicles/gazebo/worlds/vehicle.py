@@ -17,7 +17,7 @@ from xml.etree import ElementTree as ET
 from cognitivedrone.sim.airframe import GRAVITY, IRIS, ROTORS, Airframe
 from cognitivedrone.sim.drawing.views import FIELD_OF_VIEW, MOUNT
 from cognitivedrone.types import IMAGE_SIZE
-from cognitivedrone.vehicles.gazebo.worlds.sdf import Fields, add, fill, material, new, paint
+from cognitivedrone.vehicles.gazebo.worlds.sdf import Fields, fill, material, new, paint
 from cognitivedrone.world.appearance import RGB, Appearance
 
 NAME: Final = "iris"
@@ -51,7 +51,7 @@ def iris(position: tuple[float, float], yaw: float, appearance: Appearance, airf
     From the appearance only the camera's pixel noise is used; SDF cannot express its response curve and gain.
     """
     model = new("model", {"pose": (*position, ground_clearance(airframe), 0.0, 0.0, yaw)}, name=NAME)
-    base = fill(add(model, "link", name="base_link"), _inertial(*_body(airframe)))
+    base = fill(ET.SubElement(model, "link", name="base_link"), _inertial(*_body(airframe)))
     side = airframe.rotor_offset
     hull = (2 * side, 2 * side, 2 * ground_clearance(airframe))
     base.append(new("collision", {"geometry": {"box": {"size": hull}}}, name="hull"))

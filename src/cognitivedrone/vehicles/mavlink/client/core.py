@@ -365,20 +365,13 @@ class FlightCore:
     def _health(self) -> Health:
         self._settle()
         # A simulator that is slow, or pauses, is silent without being lost.
-        patience = 0.0 if self.config.clock == "wall" else PAUSE_S
-        now = monotonic()
+        on_wall, now = self.config.clock == "wall", monotonic()
         self._sent = tuple(sent for sent in self._sent if now - sent[0] < 2 * OWN_TARGETS_S)
         doubts = self.link.heartbeats.suspicion(now)
         asked = Asked(self.clock(), self._command, self._command_at, self._frame_at, self._modes, self._sent, doubts)
-        judges_time = self.config.clock == "wall" and not self.met.simulated
+        patience, judges_time = 0.0 if on_wall else PAUSE_S, on_wall and not self.met.simulated
         return health_of(
-            self.telemetry,
-            self.link.traffic,
-            self._baseline,
-            asked,
-            now,
-            patience_s=patience,
-            judges_time=judges_time,
+            self.telemetry, self.link.traffic, self._baseline, asked, now, patience_s=patience, judges_time=judges_time
         )
 
     def _obey(self, decision: Decision, health: Health) -> bool:

@@ -7,7 +7,7 @@ are in `autopilot.py`) and of PX4 1.14 to 1.16
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -23,6 +23,7 @@ RETURNS: Final = frozenset({1, 3})
 LONGEST_GUIDED_S = 1.0
 
 Values = Mapping[str, float | None]
+Judge = Callable[[float, Values, float], State]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +34,7 @@ class Expected:
     needed: str
     """In words."""
     why: str
-    judge: Callable[[float, Values, float], State]
+    judge: Judge
     """What a value is worth, with all values and our ceiling, m."""
     wanted: Callable[[float], float] | None = None
     """From the value found to the one that is set, with consent, where that is bad."""
@@ -43,19 +44,19 @@ class Expected:
     """`needed` and `why` where the vehicle has it under its new name, if they differ."""
 
 
-def _one_of(*values: float, otherwise: State = "bad") -> Callable[[float, Values, float], State]:
+def _one_of(*values: float, otherwise: State = "bad") -> Judge:
     return lambda value, _values, _ceiling: "ok" if value in values else otherwise
 
 
-def _within(low: float, high: float) -> Callable[[float, Values, float], State]:
+def _within(low: float, high: float) -> Judge:
     return lambda value, _values, _ceiling: "ok" if low <= value <= high else "bad"
 
 
-def _ground_failsafe(value: float, values: Values, ceiling_m: float) -> State:
-    """Landing will do; returning where that does not climb above our ceiling."""
-    if value in (4, 5):
-        return "ok"
-    return "ok" if value in RETURNS and _return_height(0.0, values, ceiling_m) == "ok" else "bad"
+def _lands(landing: Container[float], returning: Container[float], height: Judge) -> Judge:
+    """Landing will do; returning where its `height` is not above our ceiling."""
+    return lambda value, values, ceiling_m: (
+        "ok" if value in landing or (value in returning and height(0.0, values, ceiling_m) == "ok") else "bad"
+    )
 
 
 def _return_height(_value: float, values: Values, ceiling_m: float) -> State:
@@ -69,8 +70,8 @@ def _options(value: float, _values: Values, _ceiling_m: float) -> State:
     return "ok" if bits & CONTINUE_PILOT and not bits & CONTINUE_GUIDED else "bad"
 
 
-def _guided(value: float, _values: Values, _ceiling_m: float) -> State:
-    return "ok" if 0.1 <= value <= LONGEST_GUIDED_S else "bad"
+def _above_zero(value: float, _values: Values, _ceiling_m: float) -> State:
+    return "ok" if value > 0 else "warn"
 
 
 ARDUCOPTER_PARAMETERS: Final = (
@@ -80,8 +81,8 @@ ARDUCOPTER_PARAMETERS: Final = (
     ),
     Expected(
         "FS_GCS_ENABLE", "5 or 4; 1 or 3 if a return stays below our ceiling",
-        "what it does when we fall silent: 5 lands; 7 brakes and stays, 1 returns, and climbs first", _ground_failsafe,
-        lambda _: 5,
+        "what it does when we fall silent: 5 lands; 7 brakes and stays, 1 returns, and climbs first",
+        _lands((4, 5), RETURNS, _return_height), lambda _: 5,
     ),
     Expected(
         "FS_GCS_TIMEOUT", "2 to 5 s", "how long we may be silent; it hovers meanwhile", _within(2, 5), lambda _: 5
@@ -93,8 +94,8 @@ ARDUCOPTER_PARAMETERS: Final = (
     ),
     Expected(
         "GUID_TIMEOUT", f"0.1 to {LONGEST_GUIDED_S:g} s; 0.3 for full speed",
-        f"it stops so long after the last command: our speed is at most {BLIND_M:g} m divided by it", _guided,
-        lambda _: 0.3,
+        f"it stops so long after the last command: our speed is at most {BLIND_M:g} m divided by it",
+        _within(0.1, LONGEST_GUIDED_S), lambda _: 0.3,
     ),
     Expected(
         "ARMING_CHECK", "1", "its own checks before arming: 1 is all, 0 none",
@@ -111,8 +112,8 @@ ARDUCOPTER_PARAMETERS: Final = (
         _one_of(1, 2, 3, 4), lambda _: 1,
     ),
     Expected(
-        "BATT_LOW_VOLT", "above 0, for your battery", "below this voltage the battery is low",
-        lambda value, _values, _ceiling: "ok" if value > 0 else "warn", required=False,
+        "BATT_LOW_VOLT", "above 0, for your battery", "below this voltage the battery is low", _above_zero,
+        required=False,
     ),
     Expected(
         "RTL_ALT", "cm, below our ceiling", "a return climbs to it first: yours, and the failsafes'", _return_height,
@@ -130,8 +131,7 @@ ARDUCOPTER_PARAMETERS: Final = (
         _one_of(1, 3, otherwise="warn"), required=False,
     ),
     Expected(
-        "FS_EKF_THRESH", "above 0", "when its state estimator counts as bad; 0 never",
-        lambda value, _values, _ceiling: "ok" if value > 0 else "warn", required=False,
+        "FS_EKF_THRESH", "above 0", "when its state estimator counts as bad; 0 never", _above_zero, required=False,
     ),
     Expected(
         "FS_CRASH_CHECK", "1", "stops the motors after a crash", _one_of(1, otherwise="warn"), required=False
@@ -146,27 +146,16 @@ STICKS_TAKE_OVER = 2
 """Bit of COM_RC_OVERRIDE: sticks that are moved in OFFBOARD give control."""
 
 
-def _offboard_loss(value: float, values: Values, ceiling_m: float) -> State:
-    """Landing will do; returning where that does not climb above our ceiling."""
-    if value == 4:
-        return "ok"
-    return "ok" if value == 3 and _px4_return_height(0.0, values, ceiling_m) == "ok" else "bad"
-
-
 def _px4_return_height(_value: float, values: Values, ceiling_m: float) -> State:
     height = values.get("RTL_RETURN_ALT")
     return "ok" if height is not None and height <= ceiling_m else "warn"
-
-
-def _above_zero(value: float, _values: Values, _ceiling_m: float) -> State:
-    return "ok" if value > 0 else "warn"
 
 
 PX4_PARAMETERS: Final = (
     Expected(
         "COM_OBL_RC_ACT", "4; 3 if RTL_RETURN_ALT is below our ceiling",
         "what it does when our velocities stop: 4 lands, 3 returns; 5 hovers for good, 6 and 7 stop the motors",
-        _offboard_loss, lambda _: 4,
+        _lands((4,), (3,), _px4_return_height), lambda _: 4,
     ),
     Expected(
         "COM_OF_LOSS_T", "0.5 to 1 s; 0.5 for full speed",
@@ -210,8 +199,5 @@ PX4_PARAMETERS: Final = (
              required=False),
 )  # fmt: skip
 """Parameters of PX4 1.14 to 1.16, in the order of the checklist."""
-EXPECTED: Final[Mapping[str, tuple[Expected, ...]]] = {
-    ARDUPILOT.name: ARDUCOPTER_PARAMETERS,
-    PX4.name: PX4_PARAMETERS,
-}
+EXPECTED: Final[Mapping[str, tuple[Expected, ...]]] = {ARDUPILOT.name: ARDUCOPTER_PARAMETERS, PX4.name: PX4_PARAMETERS}
 """By the autopilot's name."""

@@ -21,13 +21,7 @@ from cognitivedrone.vehicles.mavlink.autopilot import ARDUPILOT, AutopilotKind, 
 from cognitivedrone.vehicles.mavlink.client.connection import MavlinkConnection, VehicleId
 from cognitivedrone.vehicles.mavlink.client.expected import EXPECTED
 from cognitivedrone.vehicles.mavlink.client.parameters import ACTS_IN_FLIGHT, ParameterChanges, vehicle_key
-from cognitivedrone.vehicles.mavlink.client.preflight import (
-    FRESH_S,
-    Facts,
-    build_checklist,
-    check_vehicle,
-    corrections,
-)
+from cognitivedrone.vehicles.mavlink.client.preflight import FRESH_S, Facts, build_checklist, check_vehicle, corrections
 from cognitivedrone.vehicles.mavlink.telemetry import SIMULATED, Telemetry
 
 BODY_NED, VELOCITY_AND_YAW_RATE = 8, 0x05C7

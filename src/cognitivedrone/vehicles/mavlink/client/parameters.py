@@ -41,19 +41,15 @@ class ChangedParameters(Protocol):
 
     def parameters(self, names: Sequence[str]) -> dict[str, float | None]:
         """The values; none where it does not answer."""
-        ...
 
     def set_parameter(self, name: str, value: float) -> None:
         """Set one and see that it took."""
-        ...
 
     def send_parameter(self, name: str, value: float) -> None:
         """Set one, without waiting."""
-        ...
 
     def reported_parameter(self, name: str) -> float | None:
         """The value that the vehicle last reported."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +132,8 @@ class ParameterChanges:
         if self._journal is None or not self._open or self._waiting:
             return
         changes = {name: change for name, change in dict(self._open).items() if not flying or name in ACTS_IN_FLIGHT}
-        back = [name for name, change in changes.items() if link.reported_parameter(name) == _float32(change.was)]
+        # MAVLink brings a value back in single precision.
+        back = [name for name, it in changes.items() if link.reported_parameter(name) == float(np.float32(it.was))]
         for name in back:
             self._open.pop(name, None)
         if back:
@@ -186,8 +183,3 @@ def _read(journal: Path) -> dict[str, Change]:
             f"cannot read {journal}, the journal of the vehicle's parameters before an earlier flight: {error};"
             " check them with a ground station, then remove it"
         ) from None
-
-
-def _float32(value: float) -> float:
-    """As it comes back over MAVLink."""
-    return float(np.float32(value))

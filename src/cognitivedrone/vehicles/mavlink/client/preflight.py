@@ -93,15 +93,9 @@ class Facts:
 def build_checklist(facts: Facts, only: Collection[str] | None = None) -> Checklist:
     """The checklist. With `only`, no other row blocks arming: for vehicles that are known to be simulated."""
     parameters = (_parameter(expected, facts) for expected in EXPECTED[facts.autopilot.name])
-    findings = [*_states(facts), *parameters, *_others(facts.traffic)]
-    findings.append(
-        Finding(
-            "you",
-            "warn",
-            f"it will climb to {facts.takeoff_height_m:g} m",
-            "propellers clear, people away, remote at hand",
-        )
-    )
+    climb = f"it will climb to {facts.takeoff_height_m:g} m"
+    you = Finding("you", "warn", climb, "propellers clear, people away, remote at hand")
+    findings = [*_states(facts), *parameters, *_others(facts.traffic), you]
     if only is not None:
         blocking = {_own(name, facts).name for name in only}
         findings = [
@@ -203,13 +197,5 @@ def _others(traffic: Traffic) -> list[Finding]:
     if traffic.commander:
         rows.append(Finding("commander", "bad", traffic.commander, "nobody else", "only one may command"))
     if traffic.impostor_at > 0:
-        rows.append(
-            Finding(
-                "sender",
-                "bad",
-                impostor_of(traffic),
-                "one vehicle",
-                "whose state is it?",
-            )
-        )
+        rows.append(Finding("sender", "bad", impostor_of(traffic), "one vehicle", "whose state is it?"))
     return rows

@@ -43,10 +43,12 @@ class Transport(ABC):
 
     datagrams: bool
     """Whether each read is one datagram, whole in itself, or a piece of a stream."""
+    _end: Any
+    """The socket or serial port."""
 
-    @abstractmethod
     def fileno(self) -> int:
         """What becomes readable when something has come."""
+        return int(self._end.fileno())
 
     @abstractmethod
     def read(self, timeout_s: float) -> tuple[bytes, Hashable]:
@@ -59,9 +61,9 @@ class Transport(ABC):
     def answer_to(self, peer: Hashable) -> None:  # noqa: B027
         """Send to this one from now on; of a stream there is no other."""
 
-    @abstractmethod
     def close(self) -> None:
         """Hang up."""
+        self._end.close()
 
 
 def open_transport(url: str, *, timeout_s: float = 5.0) -> Transport:
@@ -97,22 +99,20 @@ class _Udp(Transport):
     def __init__(self, *, bind: tuple[str, int] | None, peer: tuple[str, int] | None) -> None:
         # Resolved once: a name server has no place between a command and the vehicle.
         self._peer: Any = (socket.gethostbyname(peer[0]), peer[1]) if peer else None
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             if bind is not None:
-                self._socket.bind(bind)
+                self._end.bind(bind)
         except OSError:
-            self._socket.close()
+            self._end.close()
             raise
-        self._socket.setblocking(False)
-
-    def fileno(self) -> int:
-        return self._socket.fileno()
+        self._end.setblocking(False)
 
     def read(self, timeout_s: float) -> tuple[bytes, Hashable]:
         try:
-            if select.select([self._socket], [], [], timeout_s)[0]:
-                return self._socket.recvfrom(LARGEST_READ)
+            if select.select([self._end], [], [], timeout_s)[0]:
+                data, sender = self._end.recvfrom(LARGEST_READ)
+                return data, sender
         except ConnectionError:
             pass  # nobody listens there yet: the answer of an earlier send
         return b"", None
@@ -122,13 +122,10 @@ class _Udp(Transport):
             return
         # UDP promises nothing: what matters is whether anything comes back, and its age is watched.
         with suppress(OSError):
-            self._socket.sendto(data, self._peer)
+            self._end.sendto(data, self._peer)
 
     def answer_to(self, peer: Hashable) -> None:
         self._peer = peer
-
-    def close(self) -> None:
-        self._socket.close()
 
 
 class _Stream(Transport):
@@ -161,19 +158,16 @@ class _Stream(Transport):
 class _Tcp(_Stream):
     def __init__(self, address: tuple[str, int], timeout_s: float) -> None:
         super().__init__()
-        self._socket = socket.create_connection(address, timeout=timeout_s)
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._socket.setblocking(False)
+        self._end = socket.create_connection(address, timeout=timeout_s)
+        self._end.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._end.setblocking(False)
         self._where = f"tcp:{address[0]}:{address[1]}"
 
-    def fileno(self) -> int:
-        return self._socket.fileno()
-
     def read(self, timeout_s: float) -> tuple[bytes, Hashable]:
-        if not select.select([self._socket], [], [], timeout_s)[0]:
+        if not select.select([self._end], [], [], timeout_s)[0]:
             return b"", None
         try:
-            data = self._socket.recv(LARGEST_READ)
+            data = self._end.recv(LARGEST_READ)
         except BlockingIOError:
             return b"", None
         except OSError as error:
@@ -182,12 +176,9 @@ class _Tcp(_Stream):
             raise LinkError(f"the link {self._where} was closed by the other side")
         return data, None
 
-    def close(self) -> None:
-        self._socket.close()
-
     def _take(self, data: bytes) -> int:
         try:
-            return self._socket.send(data)
+            return int(self._end.send(data))
         except BlockingIOError:
             return 0
         except OSError as error:
@@ -200,29 +191,23 @@ class _Serial(_Stream):
         serial = import_extra("serial", "mavlink", "pyserial")
         self._device = device
         try:
-            self._port = serial.Serial(device, baud, timeout=0)
+            self._end = serial.Serial(device, baud, timeout=0)
         except (OSError, ValueError, OverflowError) as error:
             raise LinkError(f"cannot open the serial port {device}: {error}") from None
 
-    def fileno(self) -> int:
-        return int(self._port.fileno())
-
     def read(self, timeout_s: float) -> tuple[bytes, Hashable]:
         try:
-            if not select.select([self._port.fileno()], [], [], timeout_s)[0]:
+            if not select.select([self._end.fileno()], [], [], timeout_s)[0]:
                 return b"", None
-            data = bytes(self._port.read(LARGEST_READ))
+            data = bytes(self._end.read(LARGEST_READ))
         # pyserial meets a port that vanished with several of these; its own error is an OSError.
         except (OSError, TypeError, ValueError) as error:
             raise LinkError(f"the serial port {self._device} has gone: {error}") from None
         return data, None
 
-    def close(self) -> None:
-        self._port.close()
-
     def _take(self, data: bytes) -> int:
         try:
-            return os.write(self._port.fileno(), data)  # pyserial opens it non-blocking, but its own write would wait
+            return os.write(self._end.fileno(), data)  # pyserial opens it non-blocking, but its own write would wait
         except BlockingIOError:
             return 0
         except (OSError, TypeError, ValueError) as error:

@@ -243,12 +243,7 @@ class SimulatedVehicle:
         peer.mav.param_value_send(name.encode(), p[name], kind[TABLE[name].kind], len(p), list(p).index(name))
 
 
-def serve(
-    vehicle: SimulatedVehicle,
-    stop: Callable[[], bool],
-    *,
-    speed: float = 1.0,
-) -> float:
+def serve(vehicle: SimulatedVehicle, stop: Callable[[], bool], *, speed: float = 1.0) -> float:
     """Fly until `stop()` is true, at `speed` times the wall clock; returns the seconds that it fell behind.
 
     Messages are answered as they arrive. On a slow machine the vehicle's time runs slower, but never jumps.
