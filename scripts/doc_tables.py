@@ -144,11 +144,32 @@ TABLES: Final[dict[str, Description]] = {
     ),
     "places": in_places,
     "small-speed": lines_of(
-        ("a decision, median", "99th percentile", "loading", "memory of the process", "file"),
+        ("of", "median, ms", "mean, ms", "99th percentile, ms", "loading", "memory of the process", "file"),
         Line(
             "inference",
             {},
-            ("{median_ms:.1f} ms", "{p99_ms:.1f} ms", "{loading_s:.2f} s", "{memory_mb:.0f} MB", "{file_mb:.1f} MB"),
+            (
+                "a decision of the policy",
+                "{median_ms:.1f}",
+                "{mean_ms:.1f}",
+                "{p99_ms:.1f}",
+                "{loading_s:.2f} s",
+                "{memory_mb:.0f} MB",
+                "{file_mb:.1f} MB",
+            ),
+        ),
+        Line(
+            "inference",
+            {},
+            (
+                "an answer of the reasoner beside it",
+                "{answer_median_ms:.1f}",
+                "{answer_mean_ms:.1f}",
+                "{answer_p99_ms:.1f}",
+                "",
+                "",
+                "",
+            ),
         ),
     ),
     "reading": rows_of(

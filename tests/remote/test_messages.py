@@ -85,7 +85,7 @@ def test_a_field_of_another_kind_is_refused_in_one_sentence(changed):
 
 
 def test_stages_begin_as_the_client_says():
-    contexts = [EpisodeContext("a", 5, 0), EpisodeContext("b", 5, 1)]
+    contexts = [EpisodeContext("a", 5, 0), EpisodeContext("b", 5, 1), EpisodeContext("c", 5, 1, same_stage=True)]
     assert read_resets({"reset": [reset_message(context) for context in contexts]}) == contexts
     assert read_resets({"reset": True, "prompt": "c"}) == [EpisodeContext("c")]
     assert read_resets({}) is read_resets({"reset": False}) is None

@@ -159,7 +159,8 @@ def observation_message(observation: Observation) -> dict[str, Any]:
 
 def reset_message(context: EpisodeContext) -> dict[str, Any]:
     """The start of a stage, without what only a simulator knows."""
-    return {PROMPT: context.instruction, "stage": context.stage, "seed": context.seed}
+    same = {"same_stage": True} if context.same_stage else {}
+    return {PROMPT: context.instruction, "stage": context.stage, "seed": context.seed, **same}
 
 
 def read_observation(message: Message, time_s: float) -> Observation:
@@ -221,7 +222,8 @@ def read_ask(message: Message) -> Ask:
 def read_resets(message: Message) -> list[EpisodeContext] | None:
     """The stages that a message starts, in order; none if it does not say, as openpi's clients. Raises `MessageError`.
 
-    `reset` is a list of maps with `prompt`, and maybe `stage` and `seed`; True starts a flight by the message's prompt.
+    `reset` is a list of maps with `prompt`, and maybe `stage`, `seed` and `same_stage`; True starts a flight by the
+    message's prompt.
     """
     resets = message.get("reset")
     if resets is None or resets is False:
@@ -232,7 +234,12 @@ def read_resets(message: Message) -> list[EpisodeContext] | None:
         raise MessageError(
             "bad_field", f"reset is {resets!r:.60}; expected True or a list of at most {MOST_RESETS} maps"
         )
-    return [EpisodeContext(read_prompt(one), _count(one, "seed"), _count(one, "stage")) for one in resets]
+    return [_context(one) for one in resets]
+
+
+def _context(reset: Message) -> EpisodeContext:
+    same = reset.get("same_stage") is True
+    return EpisodeContext(read_prompt(reset), _count(reset, "seed"), _count(reset, "stage"), same_stage=same)
 
 
 def check_protocol(message: Message, session: str) -> None:

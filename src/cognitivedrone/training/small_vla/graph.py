@@ -30,7 +30,12 @@ from cognitivedrone.models.words.language import PARTS, Language, TextEncoder
 from cognitivedrone.models.words.scene_tokens import INPUTS, LENGTHS
 from cognitivedrone.models.words.text_encoder import FILE, TEXT_ENCODER, TextEncoderModel
 from cognitivedrone.models.words.word_pieces import EMBEDDED, PIECES_FILE, WORD_PIECES, WordPieces, pieces_of
-from cognitivedrone.training.trainer.eight_bits import computing_in_eight_bits, in_eight_bits, in_half_precision
+from cognitivedrone.training.trainer.eight_bits import (
+    computing_in_eight_bits,
+    in_eight_bits,
+    in_half_precision,
+    rounded_rows,
+)
 
 
 def write_onnx(
@@ -114,13 +119,12 @@ def write_encoder(encoder: TextEncoder, pieces: Sequence[str], provenance: Prove
 
 def write_pieces(words: nn.Embedding, pieces: Sequence[str], provenance: Provenance, folder: Path) -> str:
     """Write word pieces, in eight bits, to `folder`, unless they are the packaged ones; returns a digest."""
-    values = words.weight.detach().cpu()
-    scale = (values.abs().amax(dim=1, keepdim=True) / 127).clamp(min=1e-12)
-    table = _Table((values / scale).round().to(torch.int8), scale)
-    digest = hashlib.sha256(table.eight.numpy().tobytes() + scale.numpy().tobytes()).hexdigest()
+    eight, scale = rounded_rows(words.weight.detach().cpu().numpy())
+    digest = hashlib.sha256(eight.tobytes() + scale.tobytes()).hexdigest()
     path = folder / PIECES_FILE
     if path.is_file() or WordPieces.load(pieces_of(path)).digest != digest:
-        facts = {"pieces": list(pieces), "digest": digest, "size": values.shape[1]}
+        table = _Table(torch.from_numpy(eight), torch.from_numpy(scale))
+        facts = {"pieces": list(pieces), "digest": digest, "size": eight.shape[1]}
         length = torch.export.Dim("length", min=1, max=sum(LENGTHS))
         write_model(table, {"tokens": torch.ones(2, 20, dtype=torch.int64)}, (EMBEDDED,), path, WORD_PIECES, facts,
                     provenance, WordPieces.load, second={"tokens": length}, smaller=lambda _: None)  # fmt: skip

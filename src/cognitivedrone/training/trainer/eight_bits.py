@@ -55,10 +55,8 @@ def in_eight_bits(model: Any) -> None:
     for tensor in list(graph.initializer):
         if tensor.data_type != onnx.TensorProto.FLOAT or len(tensor.dims) < 2 or np.prod(tensor.dims) < _ROUNDED_FROM:
             continue
-        name, values = tensor.name, numpy_helper.to_array(tensor)
-        largest = np.abs(values).max(axis=tuple(range(1, values.ndim)), keepdims=True)
-        scale = np.maximum(largest / 127, 1e-12).astype(np.float32)
-        rounded = np.rint(values / scale).astype(np.int8)
+        name = tensor.name
+        rounded, scale = rounded_rows(numpy_helper.to_array(tensor))
         tensor.CopyFrom(numpy_helper.from_array(rounded, f"{name}.eight"))
         graph.initializer.append(numpy_helper.from_array(scale, f"{name}.scale"))
         nodes += [
@@ -67,6 +65,13 @@ def in_eight_bits(model: Any) -> None:
         ]
     for node in reversed(nodes):
         graph.node.insert(0, node)
+
+
+def rounded_rows(values: NDArray[np.float32]) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
+    """Integers for weights float32 (rows, ...), and what one is worth in each row, (rows, 1, ...)."""
+    largest = np.abs(values).max(axis=tuple(range(1, values.ndim)), keepdims=True)
+    scale = np.maximum(largest / 127, 1e-12).astype(np.float32)
+    return np.rint(values / scale).astype(np.int8), scale
 
 
 def computing_in_eight_bits(model: Any, images: NDArray[Any]) -> None:
@@ -140,7 +145,7 @@ def weights_in(model: Any) -> dict[str, NDArray[Any]]:
 
 
 def _fold_normalisations(model: Any) -> dict[str, Any]:
-    """Fold normalisations and zeros around images into the convolutions beside them.
+    """Fold normalisations into the convolutions before them, which have no bias of their own.
 
     Returns what training needs to take them apart again: the normalisations' tensors, and `FOLD` of each weight.
     """
@@ -150,6 +155,8 @@ def _fold_normalisations(model: Any) -> dict[str, Any]:
     kept: dict[str, Any] = {}
     for node in [node for node in graph.node if node.op_type == "BatchNormalization"]:
         convolution = maker[node.input[0]]
+        if tensors.keys() & convolution.input[2:]:  # absent ones are calculated zeros
+            raise ValueError(f"{convolution.name} has a bias before its normalisation")
         weight, bias = convolution.input[1], f"{convolution.input[1]}.shift"
         gamma, beta, mean, variance = (numpy_helper.to_array(tensors[name]) for name in node.input[1:])
         factors = gamma / np.sqrt(variance + next(each.f for each in node.attribute if each.name == "epsilon"))
@@ -162,11 +169,4 @@ def _fold_normalisations(model: Any) -> dict[str, Any]:
         convolution.input[2:] = [bias]
         convolution.output[0] = node.output[0]
         graph.node.remove(node)
-        if (pad := maker.get(convolution.input[0])) is not None and pad.op_type == "Pad":
-            ends = numpy_helper.to_array(maker[pad.input[1]].attribute[0].t).reshape(2, -1)[:, 2:]
-            for attribute in [each for each in convolution.attribute if each.name in ("pads", "auto_pad")]:
-                convolution.attribute.remove(attribute)
-            convolution.attribute.append(onnx.helper.make_attribute("pads", ends.ravel().tolist()))
-            convolution.input[0] = pad.input[0]
-            graph.node.remove(pad)
     return kept
