@@ -13,7 +13,7 @@ from made_stores import write_store, writer_at
 
 from cognitivedrone.cli import main
 from cognitivedrone.data.card import HEIGHT, WIDTH, card, columns, flight_map, traces
-from cognitivedrone.data.overview import ACTION_NAMES, Histogram
+from cognitivedrone.data.overview import Histogram
 from cognitivedrone.errors import DataError
 from cognitivedrone.tasks import BASE_FAMILIES
 
@@ -111,10 +111,10 @@ def test_histogram_columns_fill_the_box():
 def test_traces_show_what_was_sent_only_where_it_differs():
     flight = make_episode(1, length=5)
     clean = replace(flight, sent=flight.action.copy())
-    assert [trace.sent for trace in traces(clean, ACTION_NAMES)] == [""] * 4
-    assert all(trace.sent and trace.sent != trace.label for trace in traces(flight, ACTION_NAMES))
+    assert [trace.sent for trace in traces(clean)] == [""] * 4
+    assert all(trace.sent and trace.sent != trace.label for trace in traces(flight))
     still = replace(clean, action=np.zeros_like(clean.action))
-    assert traces(still, ACTION_NAMES)[0].label == "0.0,20.0 25.0,20.0 50.0,20.0 75.0,20.0 100.0,20.0"
+    assert traces(still)[0].label == "0.0,20.0 25.0,20.0 50.0,20.0 75.0,20.0 100.0,20.0"
 
 
 def test_the_map_has_every_flight_in_the_colour_of_its_gate(flights):

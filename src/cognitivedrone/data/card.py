@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -88,7 +88,7 @@ def columns(shape: Histogram) -> list[Column]:
     return bars
 
 
-def traces(episode: Episode, names: Sequence[tuple[str, str]]) -> list[Trace]:
+def traces(episode: Episode) -> list[Trace]:
     """The four components over time, each scaled to its flight limits, in a box of `WIDTH` by `HEIGHT`."""
     return [
         Trace(
@@ -96,7 +96,7 @@ def traces(episode: Episode, names: Sequence[tuple[str, str]]) -> list[Trace]:
             _trace(episode.action[:, k], limit),
             "" if np.array_equal(episode.action[:, k], episode.sent[:, k]) else _trace(episode.sent[:, k], limit),
         )
-        for k, ((name, unit), limit) in enumerate(zip(names, ACTION_LIMITS, strict=True))
+        for k, ((name, unit), limit) in enumerate(zip(ACTION_NAMES, ACTION_LIMITS, strict=True))
     ]
 
 
@@ -137,22 +137,13 @@ ROWS: Final = ("min", "q01", "mean", "std", "q99", "max")
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """One flight: frames from start to end, and its actions."""
+    """One flight, and frames of it from start to end."""
 
     episode: Episode
     frames: tuple[str, ...]
     """Base64 JPEG."""
     down: tuple[str, ...]
     """The same moments seen by the camera that looks down, if there is one."""
-    traces: tuple[Trace, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class Chart:
-    """A histogram with its bars."""
-
-    shape: Histogram
-    columns: tuple[Column, ...]
 
 
 def card(path: Path | str, out: Path | str) -> None:
@@ -174,15 +165,18 @@ def render_card(store: Store) -> str:
     if not len(store):
         raise DataError(f"{store.path}: holds no episode; there is nothing to show")
     seen = overview(store)
-    filters = {"words": lambda name: str(name).replace("_", " "), "megabytes": megabytes}
+    filters: dict[str, Callable[..., object]] = {
+        "columns": columns,
+        "megabytes": megabytes,
+        "traces": traces,
+        "words": lambda name: str(name).replace("_", " "),
+    }
     return render_page(
         "cognitivedrone.data",
         "card.html.j2",
         filters,
         seen=seen,
         manifest=seen.manifest,
-        charts=[_chart(shape) for shape in seen.actions],
-        lengths=_chart(seen.lengths),
         largest=max(family.total for family in seen.families),
         action_names=ACTION_NAMES,
         rows=ROWS,
@@ -190,10 +184,6 @@ def render_card(store: Store) -> str:
         strips=[_strip(store, family) for family in seen.families],
         box=(WIDTH, HEIGHT),
     )
-
-
-def _chart(shape: Histogram) -> Chart:
-    return Chart(shape, tuple(columns(shape)))
 
 
 def _spread_out(indices: list[int], most: int) -> list[int]:
@@ -212,7 +202,7 @@ def _strip(store: Store, family: FamilyCount) -> Strip:
         tuple(_thumbnail(store, episode, step, images[step]) for step in steps if images)
         for images in (episode.images, episode.down)
     )
-    return Strip(episode, frames, down, tuple(traces(episode, ACTION_NAMES)))
+    return Strip(episode, frames, down)
 
 
 def _thumbnail(store: Store, episode: Episode, step: int, data: bytes) -> str:

@@ -84,20 +84,6 @@ class Segment:
 
 
 @dataclass(frozen=True, slots=True)
-class FilmView:
-    """A clip as shown on the page."""
-
-    clip: Clip
-    video: str
-    """Base64, like the poster."""
-    poster: str
-    map: drawing.Map
-    passed: bool
-    not_reached: int
-    """Stages after the one that ended the flight."""
-
-
-@dataclass(frozen=True, slots=True)
 class Failure:
     """A stage that was flown and not passed."""
 
@@ -112,7 +98,7 @@ def render_report(
 ) -> str:
     """The page. `traces` correspond to `results.episodes`, in the same order; `tracks` are those of the suite."""
     summary = results.summary()
-    films = [_film_view(clip) for clip in _within_budget(clips)]
+    films = _within_budget(clips)
     failures = list(_failures(results.measured, tracks))
     chance = chance_of(summary)
     on_papers = are_papers_tasks(results.episodes)
@@ -123,8 +109,10 @@ def render_report(
         "option": readable,
         "percent": percent,
         "interval": interval,
+        "base64": lambda content: base64.b64encode(content).decode("ascii"),
         "hundred": _hundred,
         "number": _number,
+        "top_view": _top_view,
     }
     return render_page(
         "cognitivedrone.benchmark.reports",
@@ -149,8 +137,8 @@ def render_report(
         on_papers=on_papers,
         reasoner=summary.overall.reasoner,
         maps=list(_maps(results.episodes, traces, summary)),
-        failed_films=[film for film in films if not film.passed],
-        passed_films=[film for film in films if film.passed],
+        failed_films=[film for film in films if not _is_passed(film)],
+        passed_films=[film for film in films if _is_passed(film)],
         films_left_out=len(clips) - len(films),
         failures=failures[:FAILURES_LISTED],
         failures_open=len(failures) <= FAILURES_OPEN,
@@ -268,15 +256,12 @@ def _within_budget(clips: Sequence[Clip]) -> list[Clip]:
     return kept
 
 
-def _film_view(clip: Clip) -> FilmView:
-    return FilmView(
-        clip=clip,
-        video=base64.b64encode(clip.video).decode("ascii"),
-        poster=base64.b64encode(clip.poster).decode("ascii"),
-        map=drawing.episode_map(clip.result, clip.trace, [readable(option) for option in clip.track[0].options]),
-        passed=all(stage.outcome == "passed" for stage in clip.result.stages),
-        not_reached=sum(stage.outcome == "not_reached" for stage in clip.result.stages),
-    )
+def _is_passed(film: Clip) -> bool:
+    return all(stage.outcome == "passed" for stage in film.result.stages)
+
+
+def _top_view(film: Clip) -> drawing.Map:
+    return drawing.episode_map(film.result, film.trace, [readable(option) for option in film.track[0].options])
 
 
 def _failures(episodes: Sequence[EpisodeResult], tracks: Sequence[Track]) -> Iterator[Failure]:
