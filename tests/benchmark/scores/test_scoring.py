@@ -12,7 +12,6 @@ from cognitivedrone.benchmark.scores.scoring import (
     RULES,
     Paired,
     choices_of,
-    difference_interval,
     mcnemar,
     mean_of,
     obstacles_of,
@@ -150,12 +149,12 @@ def test_the_table_of_pairs():
 def test_the_interval_of_a_difference_holds_it_and_mirrors(both, only_a, only_b, neither):
     table = Paired(both, only_a, only_b, neither)
     if table.n == 0:
-        assert difference_interval(table) is None
+        assert table.ci95 is None
         return
-    low, high = difference_interval(table)
+    low, high = table.ci95
     assert -1 - 1e-12 <= low <= table.difference + 1e-12
     assert table.difference - 1e-12 <= high <= 1 + 1e-12
-    mirrored = difference_interval(Paired(both, only_b, only_a, neither))
+    mirrored = Paired(both, only_b, only_a, neither).ci95
     assert mirrored == pytest.approx((-high, -low), abs=1e-12)
 
 
@@ -163,7 +162,7 @@ def test_the_interval_of_a_difference_is_the_usual_one_for_many_pairs():
     table = Paired(both=40_000, only_a=10_000, only_b=20_000, neither=30_000)
     n = table.n
     spread = 1.959964 * math.sqrt((table.only_a + table.only_b) / n - table.difference**2) / math.sqrt(n)
-    assert difference_interval(table) == pytest.approx((0.1 - spread, 0.1 + spread), abs=1e-4)
+    assert table.ci95 == pytest.approx((0.1 - spread, 0.1 + spread), abs=1e-4)
 
 
 # ---- what is asked for is not there

@@ -12,10 +12,10 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from cognitivedrone.benchmark.scores.comparison import Comparison, Difference, suspicions
+from cognitivedrone.benchmark.scores.comparison import Comparison, suspicions
 from cognitivedrone.benchmark.scores.published import PUBLISHED, are_papers_tasks, comparable, paper_rows
 from cognitivedrone.benchmark.scores.results import Results
-from cognitivedrone.benchmark.scores.scoring import Interval, Score, Summary, chance_of
+from cognitivedrone.benchmark.scores.scoring import Interval, Paired, Score, Summary, chance_of
 from cognitivedrone.control.async_reasoner import UNAIDED
 from cognitivedrone.plan import Rule
 from cognitivedrone.reasoners import NONE
@@ -197,10 +197,9 @@ def comparison_table(comparison: Comparison) -> RenderableType:
     rates = new_table(title, "", "n", "A", "B", "B - A", "95 % CI", "p (McNemar)")
     counts = new_table("stages passed", "", "by both", "only A", "only B", "neither")
     rows = {"overall": comparison.overall, **{words(name): part for name, part in comparison.categories.items()}}
-    for name, difference in rows.items():
+    for name, table in rows.items():
         style = "bold" if name == "overall" else ""
-        table = difference.table
-        rates.add_row(name, *_difference_cells(difference), style=style)
+        rates.add_row(name, *_difference_cells(table), style=style)
         cells = (table.both, table.only_a, table.only_b, table.neither)
         counts.add_row(name, *(str(cell) for cell in cells), style=style)
     notes = [f"scored by the rule {comparison.rule}"]
@@ -267,13 +266,12 @@ def _score_cells(score: Score) -> Sequence[str]:
     )
 
 
-def _difference_cells(difference: Difference) -> Sequence[str]:
-    table = difference.table
-    points = DASH if difference.difference is None else f"{100 * difference.difference:+.1f}"
+def _difference_cells(table: Paired) -> Sequence[str]:
+    points = DASH if table.difference is None else f"{100 * table.difference:+.1f}"
     limits = DASH
-    if difference.ci95 is not None:
-        limits = f"{100 * difference.ci95[0]:+.1f} to {100 * difference.ci95[1]:+.1f}"
-    return (str(table.n), percent(difference.rate_a), percent(difference.rate_b), points, limits, f"{difference.p:.3g}")
+    if (ci95 := table.ci95) is not None:
+        limits = f"{100 * ci95[0]:+.1f} to {100 * ci95[1]:+.1f}"
+    return (str(table.n), percent(table.rate_a), percent(table.rate_b), points, limits, f"{table.p:.3g}")
 
 
 def _notes(results: Results, rule: Rule) -> list[Text]:

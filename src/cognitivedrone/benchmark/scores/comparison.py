@@ -12,7 +12,7 @@ from typing import Final
 
 from cognitivedrone.benchmark.scores.results import Results, read_results
 from cognitivedrone.benchmark.scores.run_types import unanswered
-from cognitivedrone.benchmark.scores.scoring import Interval, Paired, counts, difference_interval, mcnemar, pair, passes
+from cognitivedrone.benchmark.scores.scoring import Paired, counts, pair, passes
 from cognitivedrone.errors import RunError
 from cognitivedrone.plan import Rule
 from cognitivedrone.types import ALL_CATEGORIES, Category, StageResult
@@ -24,20 +24,6 @@ MACHINE: Final = {"system": "system", "machine": "architecture"}
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
-    """The difference between b and a over a set of tasks."""
-
-    table: Paired
-    rate_a: float | None
-    rate_b: float | None
-    difference: float | None
-    """rate_b - rate_a"""
-    ci95: Interval | None
-    p: float
-    """Two-sided exact McNemar."""
-
-
-@dataclass(frozen=True, slots=True)
 class Comparison:
     """Paired comparison of two runs."""
 
@@ -45,8 +31,8 @@ class Comparison:
     name_b: str
     suite: str
     rule: Rule
-    overall: Difference
-    categories: Mapping[Category, Difference]
+    overall: Paired
+    categories: Mapping[Category, Paired]
     left_out: int
     """Stages that are invalid in either run."""
     other_differences: tuple[str, ...]
@@ -60,7 +46,7 @@ class Comparison:
     @property
     def verdict(self) -> str:
         """The overall difference in one sentence."""
-        table, p = self.overall.table, self.overall.p
+        table, p = self.overall, self.overall.p
         if table.n == 0:
             return "no task counts in both runs, so they cannot be compared"
         more = abs(table.only_b - table.only_a)
@@ -97,30 +83,17 @@ def compare_results(
             "only one of them; run both with the same --episodes"
         )
     pairs = [(stages_a[task], stages_b[task]) for task in stages_a]
-    valid = [(x, y) for x, y in pairs if counts(x) and counts(y)]
-    present = [category for category in ALL_CATEGORIES if any(x.category == category for x, _ in valid)]
+    valid = [(x.category, (passes(x, rule), passes(y, rule))) for x, y in pairs if counts(x) and counts(y)]
+    present = [category for category in ALL_CATEGORIES if any(own == category for own, _ in valid)]
     return Comparison(
         name_a=_pilot(a),
         name_b=_pilot(b),
         suite=a.run.suite.name,
         rule=rule,
-        overall=_difference(valid, rule),
-        categories={c: _difference([(x, y) for x, y in valid if x.category == c], rule) for c in present},
+        overall=pair(passed for _, passed in valid),
+        categories={category: pair(passed for own, passed in valid if own == category) for category in present},
         left_out=len(pairs) - len(valid),
         other_differences=_other_differences(a, b),
-    )
-
-
-def _difference(pairs: list[tuple[StageResult, StageResult]], rule: Rule) -> Difference:
-    table = pair((passes(x, rule), passes(y, rule)) for x, y in pairs)
-    n = table.n
-    return Difference(
-        table=table,
-        rate_a=(table.both + table.only_a) / n if n else None,
-        rate_b=(table.both + table.only_b) / n if n else None,
-        difference=table.difference,
-        ci95=difference_interval(table),
-        p=mcnemar(table.only_a, table.only_b),
     )
 
 

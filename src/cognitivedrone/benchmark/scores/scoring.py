@@ -350,9 +350,42 @@ class Paired:
         return self.both + self.only_a + self.only_b + self.neither
 
     @property
+    def rate_a(self) -> float | None:
+        """Share that passed in a."""
+        return _ratio(self.both + self.only_a, self.n)
+
+    @property
+    def rate_b(self) -> float | None:
+        """Share that passed in b."""
+        return _ratio(self.both + self.only_b, self.n)
+
+    @property
     def difference(self) -> float | None:
         """Rate of b minus rate of a."""
         return _ratio(self.only_b - self.only_a, self.n)
+
+    @property
+    def ci95(self) -> Interval | None:
+        """95 % interval of the difference; Newcombe's (1998) method 10 for paired rates."""
+        n = self.n
+        b, limits_b = self.both + self.only_b, wilson(self.both + self.only_b, n)
+        a, limits_a = self.both + self.only_a, wilson(self.both + self.only_a, n)
+        if limits_b is None or limits_a is None:
+            return None
+        phi, difference = _phi(self), (self.only_b - self.only_a) / n
+
+        def spread(x: float, y: float) -> float:
+            return math.sqrt(max(0.0, x * x - 2 * phi * x * y + y * y))
+
+        return (
+            difference - spread(b / n - limits_b[0], limits_a[1] - a / n),
+            difference + spread(limits_b[1] - b / n, a / n - limits_a[0]),
+        )
+
+    @property
+    def p(self) -> float:
+        """Two-sided exact McNemar."""
+        return mcnemar(self.only_a, self.only_b)
 
 
 def pair(passed: Iterable[tuple[bool, bool]]) -> Paired:
@@ -366,26 +399,6 @@ def mcnemar(a: int, b: int) -> float:
     from scipy.stats import binomtest  # takes half a second to import, and workers never need it
 
     return float(binomtest(a, a + b, 0.5).pvalue) if a + b else 1.0
-
-
-def difference_interval(table: Paired) -> Interval | None:
-    """95 % interval of `table.difference`; Newcombe's (1998) method 10 for paired rates. None where n is 0."""
-    n = table.n
-    rate_b, rate_a = table.both + table.only_b, table.both + table.only_a
-    limits_b, limits_a = wilson(rate_b, n), wilson(rate_a, n)
-    if limits_b is None or limits_a is None:
-        return None
-    b, a = rate_b / n, rate_a / n
-    phi = _phi(table)
-
-    def spread(x: float, y: float) -> float:
-        return math.sqrt(max(0.0, x * x - 2 * phi * x * y + y * y))
-
-    difference = (table.only_b - table.only_a) / n
-    return (
-        difference - spread(b - limits_b[0], limits_a[1] - a),
-        difference + spread(limits_b[1] - b, a - limits_a[0]),
-    )
 
 
 def _phi(table: Paired) -> float:
