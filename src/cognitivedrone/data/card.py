@@ -56,20 +56,12 @@ class Trace:
 
 
 @dataclass(frozen=True, slots=True)
-class FlightPath:
-    """A flight from above."""
-
-    points: str
-    color: str
-    """Colour of the right gate."""
-
-
-@dataclass(frozen=True, slots=True)
 class Map:
     """Flights from above, x to the top and y to the left, as the drone faces at the start."""
 
     view_box: str
-    paths: tuple[FlightPath, ...]
+    paths: tuple[tuple[str, str], ...]
+    """Points, and the colour of the right gate."""
 
 
 def columns(shape: Histogram) -> list[Column]:
@@ -115,7 +107,7 @@ def flight_map(flights: Sequence[Episode]) -> Map:
     return Map(
         view_box=f"{top_left[1]:.1f} {top_left[0]:.1f} {size[1]:.1f} {size[0]:.1f}",
         paths=tuple(
-            FlightPath(points(-track[:, ::-1] * MAP_SCALE), flight.task.gates[right_gate(flight.task)].color)
+            (points(-track[:, ::-1] * MAP_SCALE), flight.task.gates[right_gate(flight.task)].color)
             for flight, track in zip(flights, tracks, strict=True)
         ),
     )

@@ -134,10 +134,10 @@ def test_services_are_called_from_a_process_that_subscribes_to_nothing(gazebo, t
 def test_a_plan_moves_what_is_the_same_and_replaces_the_rest():
     red = Prop("gate_1", "gate_big_round", (1.0, 2.0, 0.9), 0.0, paint((1.0, 0.0, 0.0), 0.4, PLAIN))
     blue = replace(red, name="gate_2", paint=paint((0.0, 0.0, 1.0), 0.4, PLAIN))
-    steps = plan({"a": red, "b": blue, "c": None}, [replace(red, yaw=1.0), replace(blue, mesh="gate_small_round")])
-    assert [(name, prop.yaw) for name, prop in steps.moves] == [("a", 1.0)]
-    assert [prop.mesh for prop in steps.spawns] == ["gate_small_round"]
-    assert steps.removals == ("b", "c")
+    wanted = [replace(red, yaw=1.0), replace(blue, mesh="gate_small_round")]
+    moves, spawns, removals = plan({"a": red, "b": blue, "c": None}, wanted)
+    assert moves == [("a", wanted[0])]
+    assert (spawns, removals) == (wanted[1:], ["b", "c"])
 
 
 # What the vehicle sees, and where it is.

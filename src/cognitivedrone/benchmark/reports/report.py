@@ -83,16 +83,6 @@ class Segment:
     count: int
 
 
-@dataclass(frozen=True, slots=True)
-class Failure:
-    """A stage that was flown and not passed."""
-
-    episode: int
-    stage: StageResult
-    instruction: str
-    """Empty if the task is unknown."""
-
-
 def render_report(
     results: Results, traces: Sequence[Trace], clips: Sequence[Clip], tracks: Sequence[Track] = ()
 ) -> str:
@@ -110,7 +100,7 @@ def render_report(
         "percent": percent,
         "interval": interval,
         "base64": lambda content: base64.b64encode(content).decode("ascii"),
-        "hundred": _hundred,
+        "hundred": lambda rate: None if rate is None else round(100 * rate, 3),
         "number": _number,
         "top_view": _top_view,
     }
@@ -264,17 +254,13 @@ def _top_view(film: Clip) -> drawing.Map:
     return drawing.episode_map(film.result, film.trace, [readable(option) for option in film.track[0].options])
 
 
-def _failures(episodes: Sequence[EpisodeResult], tracks: Sequence[Track]) -> Iterator[Failure]:
-    """Every stage that was flown and not passed."""
+def _failures(episodes: Sequence[EpisodeResult], tracks: Sequence[Track]) -> Iterator[tuple[int, StageResult, str]]:
+    """Every stage that was flown and not passed: its episode, its result, its instruction if the task is known."""
     instructions = {task.id: task.instruction for track in tracks for task in track}
     for episode in episodes:
         for stage in episode.stages:
             if stage.outcome not in ("passed", "not_reached"):
-                yield Failure(episode.episode, stage, instructions.get(stage.task_id, ""))
-
-
-def _hundred(rate: float | None) -> float | None:
-    return None if rate is None else round(100 * rate, 3)
+                yield episode.episode, stage, instructions.get(stage.task_id, "")
 
 
 def _number(value: float | None, form: str = "{:.1f}") -> str:

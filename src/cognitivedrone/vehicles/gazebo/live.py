@@ -58,21 +58,13 @@ class LiveConfig:
     """A topic without messages for this long counts as broken."""
 
 
-@dataclass(frozen=True, slots=True)
-class StagePlan:
-    """The changes from one set of props to another."""
-
-    moves: tuple[tuple[str, Prop], ...]
-    """Entities to move, with the prop that each becomes."""
-    spawns: tuple[Prop, ...]
-    removals: tuple[str, ...]
-    """Entities to remove."""
-
-
-def plan(standing: Mapping[str, Prop | None], wanted: Sequence[Prop]) -> StagePlan:
+def plan(
+    standing: Mapping[str, Prop | None], wanted: Sequence[Prop]
+) -> tuple[list[tuple[str, Prop]], list[Prop], list[str]]:
     """The changes after which only `wanted` is in the world: equal props are moved, the rest replaced.
 
-    `standing` maps current entities to their props; none for unknown props.
+    `standing` maps current entities to their props; none for unknown props. Returns the entities to move, with the prop
+    that each becomes, the props to spawn, and the entities to remove.
     """
     left = dict(standing)
     moves: list[tuple[str, Prop]] = []
@@ -84,7 +76,7 @@ def plan(standing: Mapping[str, Prop | None], wanted: Sequence[Prop]) -> StagePl
         else:
             moves.append((same, prop))
             del left[same]
-    return StagePlan(tuple(moves), tuple(spawns), tuple(left))
+    return moves, spawns, list(left)
 
 
 def differences(places: Mapping[str, tuple[FloatArray, FloatArray]], wanted: Mapping[str, Prop | None]) -> str:
@@ -156,15 +148,15 @@ class GazeboWorld:
         if not self._sure:
             self._look_around()
         self._sure = False
-        steps = plan(self._standing, wanted)
-        for name, prop in steps.moves:
+        moves, spawns, removals = plan(self._standing, wanted)
+        for name, prop in moves:
             self.move(name, prop.position, prop.yaw)
             self._standing[name] = prop
-        for prop in steps.spawns:
+        for prop in spawns:
             name = self._new_name(prop.name)
             self.spawn(name, prop_model(prop, f"file://{self._folder}/"))
             self._standing[name] = prop
-        for name in steps.removals:
+        for name in removals:
             self.remove(name, MODEL)
             del self._standing[name]
         self._shine(sun(stage, appearance))
