@@ -79,7 +79,8 @@ def kind_of(folder: Path) -> tuple[RepoType, str]:
         return "dataset", "data set"
     if _described(folder / "meta" / "info.json", {"codebase_version": str, "features": dict, "fps": int}):
         return "dataset", "LeRobot data set"
-    if any(_described(path, {"fileFormat": str, "splits": list}) for path in _rlds(folder)):
+    described = (path for levels in ("", "*/", "*/*/") for path in folder.glob(f"{levels}dataset_info.json"))
+    if any(_described(path, {"fileFormat": str, "splits": list}) for path in described):
         return "dataset", "RLDS data set"
     raise HubError(
         f"{folder}: holds nothing to share; a model has model.onnx, or {EYES_FILE}, {SELECTOR_FILE} and "
@@ -124,10 +125,6 @@ def size_text(size: int) -> str:
     """Bytes for people."""
     power = max(0, min(3, (len(str(size)) - 1) // 3))
     return f"{size / 1000**power:.3g} {('B', 'kB', 'MB', 'GB')[power]}"
-
-
-def _rlds(folder: Path) -> list[Path]:
-    return [folder / "dataset_info.json", *folder.glob("*/dataset_info.json"), *folder.glob("*/*/dataset_info.json")]
 
 
 def _described(path: Path, fields: Mapping[str, type]) -> bool:

@@ -224,7 +224,9 @@ def _fly(
     goals: Sequence[SubGoal],
 ) -> Summary:
     """Take off, fly and land."""
-    _check_truth(vehicle, pilot)
+    for kind, part in (("policy", pilot.policy), ("reasoner", pilot.reasoner)):
+        if vehicle.track_runner is None and part is not None and part.needs_ground_truth:
+            raise GroundTruthError(f"this {kind} uses privileged state, which a vehicle over MAVLink does not have")
     if plan.vehicle.kind != "sim":
         console.print("connected; waiting until the vehicle is ready (ctrl-C stops)", highlight=False)
     drone = vehicle.take_off(lambda checklist: _confirm(checklist, vehicle, console, keyboard))
@@ -284,12 +286,6 @@ def _stop(drone: ClockedDrone) -> None:
     while drone.now() < deadline and np.linalg.norm(drone.observe().velocity) > HOVER_M_S:
         drone.send(np.zeros(4, dtype=np.float32))
         drone.sleep_until(drone.now() + 1 / CONTROL_HZ)
-
-
-def _check_truth(vehicle: Vehicle, pilot: Pilot) -> None:
-    for kind, part in (("policy", pilot.policy), ("reasoner", pilot.reasoner)):
-        if vehicle.track_runner is None and part is not None and part.needs_ground_truth:
-            raise GroundTruthError(f"this {kind} uses privileged state, which a vehicle over MAVLink does not have")
 
 
 def _confirm(checklist: Checklist, vehicle: Vehicle, console: Console, keyboard: TextIO) -> bool:

@@ -286,7 +286,7 @@ def film_flight(plan: FlyPlan, log: FlightLog, scenes: Sequence[Scene], summary:
     film = Film(
         f"{pilot.policy} + {pilot.reasoner} on {plan.vehicle.link}"
         + (f": {plan.instruction}" if is_mission(sub_goals(plan.instruction)) else ""),
-        _counted(log, summary.steps),
+        iter(counted(log.frames(), "filming", summary.steps, show=stderr_console(stderr=True).is_terminal)),
         scenes,
         verdict_of_flight(summary),
         [event for event in log.events if event.kind not in SILENT],
@@ -297,8 +297,3 @@ def film_flight(plan: FlyPlan, log: FlightLog, scenes: Sequence[Scene], summary:
         say(console, f"no film: {error}")
     except KeyboardInterrupt:
         say(console, "no film: stopped")
-
-
-def _counted(log: FlightLog, steps: int) -> Iterator[FilmFrame]:
-    """The frames, with a bar on a terminal."""
-    return iter(counted(log.frames(), "filming", steps, show=stderr_console(stderr=True).is_terminal))

@@ -82,7 +82,8 @@ class Watchdog:
             if vehicle is not None and vehicle.track_runner is None and now - armed_at > 1:
                 armed_at = now
                 faulthandler.dump_traceback_later(HELD_S, exit=True, file=2)
-            self._since = None if vehicle is None or not _down(vehicle) else self._since or now
+            down = vehicle is not None and vehicle.over is not None and _safe(vehicle)
+            self._since = self._since or now if down else None
             if self._since is not None and now - self._since > GRACE_S and vehicle is not None:
                 self._end(f"the policy hangs; the flight had ended: {vehicle.over}", HUNG)
             if self._leave_at is not None and now > self._leave_at:
@@ -101,11 +102,6 @@ class Watchdog:
             with suppress(Exception):
                 self._keep(reason)
         _end(reason, code)
-
-
-def _down(vehicle: Vehicle) -> bool:
-    """Whether the flight is over, and the vehicle not ours to fly any more: on the ground, or flown by its pilot."""
-    return vehicle.over is not None and _safe(vehicle)
 
 
 def _safe(vehicle: Vehicle) -> bool:

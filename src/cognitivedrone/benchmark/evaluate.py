@@ -82,7 +82,11 @@ def evaluate(
         if here := {kind: part for kind, part in parts.items() if names[kind] is None}:
             _one_process(here, plan.workers, progress)
             plan = plan.changed(workers=0)
-            pilot, command = _pilot(undo, **parts), _call_of(plan)
+            pilot = Pilot(  # users close their own objects
+                _part("policy", parts["policy"], "act", make_policy, as_policy, undo),
+                _part("reasoner", parts["reasoner"], "refine", make_reasoner, as_reasoner, undo),
+            )
+            command = _call_of(plan)
         kept = plan.out is not None
         if not kept:
             folder = undo.enter_context(TemporaryFolder())
@@ -144,12 +148,6 @@ def _why_here(kind: str, part: object) -> str:
     what = "class" if isinstance(part, type) else "function"
     where = "in the script itself" if part.__module__ == "__main__" else "where no other process can import it"
     return f"the {kind}'s {what} is defined {where}"
-
-
-def _pilot(undo: ExitStack, policy: Any, reasoner: Any) -> Pilot:
-    """Policy and reasoner as a `Pilot`. `undo` closes what is made here; users close their own objects."""
-    flown = _part("policy", policy, "act", make_policy, as_policy, undo)
-    return Pilot(flown, _part("reasoner", reasoner, "refine", make_reasoner, as_reasoner, undo))
 
 
 def _part(

@@ -54,8 +54,9 @@ def check_form(kind: type[Any], value: Any, where: str, error: type[CognitiveDro
 def make_reader(*, unknown: Literal["refused", "ignored"]) -> cattrs.Converter:
     """A converter that checks every value; what to do with names that a dataclass does not have."""
     converter = cattrs.Converter(unstruct_collection_overrides={tuple: list})
-    for kind, read in ((int, _read_int), (float, _read_float), (str, _read_str), (bool, _read_bool)):
-        converter.register_structure_hook(kind, read)
+    for kind, words in ((int, "a whole number"), (str, "text"), (bool, "true or false")):
+        converter.register_structure_hook(kind, _reader_of(kind, words))
+    converter.register_structure_hook(float, _read_float)
     converter.register_structure_hook_func(_origin_is(Literal), _read_literal)
     converter.register_structure_hook_func(_origin_is(tuple), _tuple_reader(converter))
     converter.register_structure_hook_func(_origin_is(Mapping), _mapping_reader(converter))
@@ -70,7 +71,7 @@ def make_reader(*, unknown: Literal["refused", "ignored"]) -> cattrs.Converter:
 
         return read_object
 
-    converter.register_structure_hook_factory(_is_dataclass, dataclass_reader)
+    converter.register_structure_hook_factory(is_dataclass, dataclass_reader)
     return converter
 
 
@@ -84,10 +85,13 @@ def _problem(error: BaseException, _kind: type | None) -> str:
     return str(error)
 
 
-def _read_int(value: Any, _: Any) -> int:
-    if not isinstance(value, int) or isinstance(value, bool):
-        raise must_be("a whole number", value)
-    return value
+def _reader_of(kind: type, words: str) -> Callable[[Any, Any], Any]:
+    def read(value: Any, _: Any) -> Any:
+        if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
+            raise must_be(words, value)
+        return value
+
+    return read
 
 
 def _read_float(value: Any, _: Any) -> float:
@@ -96,18 +100,6 @@ def _read_float(value: Any, _: Any) -> float:
     if not isinstance(value, (int, float)) or isinstance(value, bool):
         raise must_be("a number", value)
     return float(value)
-
-
-def _read_str(value: Any, _: Any) -> str:
-    if not isinstance(value, str):
-        raise must_be("text", value)
-    return value
-
-
-def _read_bool(value: Any, _: Any) -> bool:
-    if not isinstance(value, bool):
-        raise must_be("true or false", value)
-    return value
 
 
 def _read_literal(value: Any, hint: Any) -> Any:
@@ -143,7 +135,8 @@ def _origin_is(origin: Any) -> Callable[[Any], bool]:
     return lambda hint: get_origin(hint) is origin
 
 
-def _is_dataclass(hint: Any) -> bool:
+def is_dataclass(hint: Any) -> bool:
+    """Whether a hint is a dataclass."""
     return isinstance(hint, type) and dataclasses.is_dataclass(hint)
 
 

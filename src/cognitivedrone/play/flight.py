@@ -94,12 +94,9 @@ def command_line(plan: FlyPlan) -> str:
     changes = plan.changed(out=None, view=True, film=True, page=False, page_port=0).changes()
     for name in ("page_port", "instruction"):  # the latter has no flag
         changes.pop(name, None)
-    words = [word for name, value in changes.items() for word in (_flag(name), shown_address(str(value)))]
+    flags = {f"--{name.replace('_', '-')}": shown_address(str(value)) for name, value in changes.items()}
+    words = [word for pair in flags.items() for word in pair]
     return shlex.join(["cognitivedrone", "fly", *([plan.instruction] if plan.instruction else []), *words])
-
-
-def _flag(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
 
 
 class FlightPage(FlightControls):

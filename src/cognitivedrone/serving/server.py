@@ -62,13 +62,13 @@ def serve(plan: ServePlan, ready: Callable[[Address], None], stop: threading.Eve
         served = ServedPilot(plan.pilot, stack.enter_context(open_pilot(plan.pilot)))
         address = Address(plan.bare_host, listening.getsockname()[1], token is not None)
         with until_asked() as asked:
-            asyncio.run(_run(plan, served, token, listening, lambda: ready(address), _either(stop, asked)))
+
+            def stopped() -> bool:
+                return asked() or (stop is not None and stop.is_set())
+
+            asyncio.run(_run(plan, served, token, listening, lambda: ready(address), stopped))
         if asked():
             raise KeyboardInterrupt
-
-
-def _either(stop: threading.Event | None, asked: Callable[[], bool]) -> Callable[[], bool]:
-    return lambda: asked() or (stop is not None and stop.is_set())
 
 
 class _Server(uvicorn.Server):
@@ -177,7 +177,8 @@ def announced(plan: ServePlan, address: Address) -> str:
     policy = f"--policy remote:ws://{shown}"
     lines = [
         f"serving {pilot} at ws://{address} (ctrl-C stops)",
-        f"  score it     cognitivedrone bench {policy}" + _reasoner(plan, shown),
+        f"  score it     cognitivedrone bench {policy}"
+        + ("" if plan.pilot.reasoner == "none" else f" --reasoner remote:ws://{shown}"),
         f'  openpi       WebsocketClientPolicy("{shown.uri_host}", {shown.port})',
         f"  OpenVLA      POST http://{shown}/act",
         f"  health       http://{shown}/healthz",
@@ -213,7 +214,3 @@ def logging_to_stderr() -> Iterator[None]:
             logger.removeHandler(handler)
             logger.setLevel(level)
             logger.propagate = propagate
-
-
-def _reasoner(plan: ServePlan, shown: Address) -> str:
-    return "" if plan.pilot.reasoner == "none" else f" --reasoner remote:ws://{shown}"

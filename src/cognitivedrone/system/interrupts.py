@@ -205,11 +205,10 @@ def _listen(reading: socket.socket) -> None:
 
 
 def _resort() -> None:
-    (_resorts[-1] if _resorts else _stop_at_once)()
-
-
-def _stop_at_once() -> None:
-    end_at_once("stopped at once")
+    if _resorts:
+        _resorts[-1]()
+    else:
+        end_at_once("stopped at once")
 
 
 def _let_the_kernel_end() -> None:

@@ -201,10 +201,6 @@ def _check_range(value: float, name: str, low: float, high: float, which: str) -
         raise TaskError(f"{which} has {name} {value:g}; make it {low:.3g} to {high:.3g}")
 
 
-def _shown(target: int | None) -> str:
-    return "none" if target is None else str(target + 1)
-
-
 def validate_task(task: Task, where: str) -> None:
     """Raise `TaskError` at the first fault of a task; `where` names it, for example "Animals.json[12]"."""
     for what, text in (("id", task.id), ("prompt", task.instruction), ("prompt_simpler", task.directive)):
@@ -226,7 +222,8 @@ def validate_task(task: Task, where: str) -> None:
     if task.only is not None and (type(task.only) is not int or task.only != task.target):
         shown = task.only + 1 if isinstance(task.only, int) else task.only
         raise TaskError(
-            f"{where}: only gate {shown!r} stands, but the right gate is {_shown(task.target)}; make only equal to "
+            f"{where}: only gate {shown!r} stands, but the right gate is "
+            f"{'none' if task.target is None else task.target + 1}; make only equal to "
             "correct, or leave it out"
         )
     _check_missing(task, where)

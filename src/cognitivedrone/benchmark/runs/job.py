@@ -61,7 +61,7 @@ def platform_facts(command: str, policy: str = "", reasoner: str = "") -> dict[s
         if file is None:
             continue
         facts[f"{kind}_file"] = _shown(file)
-        root = _root(file, name.partition(":")[0])
+        root = file.parents[name.partition(":")[0].count(".") + (file.name == "__init__.py")]
         roots += [_shown(root)] if root not in installed and _shown(root) not in roots else []
     if roots:
         facts["command"] = f"PYTHONPATH={shlex.quote(os.pathsep.join(roots))} {command}"
@@ -82,12 +82,6 @@ def own_module(name: str, table: Mapping[str, str]) -> Path | None:
     if spec is None or spec.origin is None or not Path(spec.origin).is_file():
         return None
     return Path(spec.origin).resolve()
-
-
-def _root(file: Path, module: str) -> Path:
-    """The folder on the module path that contains `module`."""
-    levels = module.count(".") + (file.name == "__init__.py")
-    return file.parents[levels]
 
 
 def _shown(path: Path) -> str:

@@ -101,14 +101,10 @@ def _is_array(hint: Any) -> bool:
     return np.ndarray in (hint, get_origin(hint)) or (get_origin(hint) or hint) is NDArray
 
 
-def _is_dataclass(hint: Any) -> bool:
-    return isinstance(hint, type) and dataclasses.is_dataclass(hint)
-
-
 def _make_converter() -> cattrs.Converter:
     converter = schema.make_reader(unknown="refused")
     converter.register_structure_hook_func(_is_array, _read_points)
-    converter.register_unstructure_hook_factory(_is_dataclass, _dataclass_writer)
+    converter.register_unstructure_hook_factory(schema.is_dataclass, _dataclass_writer)
     converter.register_unstructure_hook(bool, bool)
     converter.register_unstructure_hook(np.integer, int)
     for real in (float, np.floating):

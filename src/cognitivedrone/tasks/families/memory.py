@@ -38,7 +38,8 @@ def memory_track(draw: Draw, targets: Sequence[int]) -> list[Puzzle]:
             back = draw.pick([earlier for earlier, name in enumerate(right) if name == answer])
             sentence = _recall(draw, back, stage)
             options = [answer, *draw.sample([name for name in shown if name != answer], 2)]
-        puzzles.append(_puzzle(draw, target, sentence, options))
+        panels = [draw.drawing(KIND_OF[name], name) for name in options]
+        puzzles.append(replace(draw, target=target).puzzle(sentence, panels[0], panels[1:]))
         right.append(answer)
         shown += [name for name in options if name not in shown]
     return puzzles
@@ -56,8 +57,3 @@ def _recall(draw: Draw, back: int, stage: int) -> str:
         )
     name, sentence = draw.pick(sentences)
     return draw.say(name, sentence, nth=_ORDINALS[back], n=back + 1)
-
-
-def _puzzle(draw: Draw, target: int, instruction: str, names: Sequence[str]) -> Puzzle:
-    panels = [draw.drawing(KIND_OF[name], name) for name in names]
-    return replace(draw, target=target).puzzle(instruction, panels[0], panels[1:])

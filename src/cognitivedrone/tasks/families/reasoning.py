@@ -87,11 +87,11 @@ def _nested_around(pools: Pools, inner_text: str, inner: int, answer: int) -> tu
         for c in range(LARGEST_ANSWER + 1)
         if apply(c, inner) == answer
     ]
-    return tuple(text for text, c in ways if pools.held_out or _all_allowed(pools, a, b, c))
-
-
-def _all_allowed(pools: Pools, *operands: int) -> bool:
-    return all(pools.pair_allowed(a, b) for i, a in enumerate(operands) for b in operands[i + 1 :])
+    return tuple(
+        text
+        for text, c in ways
+        if pools.held_out or all(pools.pair_allowed(*pair) for pair in ((a, b), (a, c), (b, c)))
+    )
 
 
 def other_numbers(draw: Draw, answer: int, highest: int = LARGEST_ANSWER) -> list[Panel]:

@@ -99,7 +99,9 @@ def asked_of(goal: SubGoal) -> tuple[str, ...]:
 
 def told(goal: SubGoal) -> str:
     """A sub-goal as it was understood, for people."""
-    avoid = [*sorted(goal.avoid - {*things_of(goal.avoid)}, key=_place), *map(_noun, things_of(goal.avoid))]
+    things = things_of(goal.avoid)
+    looks = sorted(goal.avoid.difference(things), key=lambda look: [_ORDER.index(word) for word in look.split()])
+    avoid = [*looks, *map(_noun, things)]
     return _told(goal) + (f", never through {' or '.join(avoid)}" if avoid else "")
 
 
@@ -112,10 +114,6 @@ def _told(goal: SubGoal) -> str:
 
 def _noun(sentence: str) -> str:
     return _VERB.sub("", sentence)
-
-
-def _place(look: str) -> list[int]:
-    return [_ORDER.index(word) for word in look.split()]
 
 
 def asks_for(said: str, forbidden: str) -> bool:

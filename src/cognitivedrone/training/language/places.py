@@ -92,11 +92,6 @@ def _fitting(heading: str, labels: Labels) -> tuple[str, ...]:
     return lines
 
 
-def _place(labels: Labels, gates: Gates, target: int) -> list[_Way]:
-    del labels, gates
-    return [(f"place {_PLACES[target]}", {})]
-
-
 def _look(labels: Labels, gates: Gates, target: int) -> list[_Way]:
     del labels
     gate = gates[target]
@@ -198,7 +193,7 @@ def _counted(concepts: Sequence[str], target: int) -> list[_Way]:
 
 
 _RULES: Mapping[str, Callable[[Labels, Gates, int], list[_Way]]] = {
-    "place": _place,
+    "place": lambda _labels, _gates, target: [(f"place {_PLACES[target]}", {})],
     "look": _look,
     "beside": _beside,
     "order": _order,

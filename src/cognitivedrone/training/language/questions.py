@@ -247,10 +247,6 @@ def _math_board(right: _Panel, wrong: tuple[_Panel, _Panel], board: str | None) 
     return lambda draw: draw.noun(wording.MATH_BOARD)
 
 
-def _food(right: _Panel, wrong: tuple[_Panel, _Panel], _board: str | None) -> _Say | None:
-    return _one_of(_claimed("food", right, wrong))
-
-
 def _association(right: _Panel, wrong: tuple[_Panel, _Panel], _board: str | None) -> _Say | None:
     claimed = _claimed("association", right, wrong)
     others = [panel.number for panel in wrong]
@@ -282,7 +278,7 @@ _RULES: dict[str, _Rule] = {
     "animals": _animals,
     "math": _math,
     "math_board": _math_board,
-    "food": _food,
+    "food": lambda right, wrong, _board: _one_of(_claimed("food", right, wrong)),
     "association": _association,
 }
 

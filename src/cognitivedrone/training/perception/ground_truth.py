@@ -87,7 +87,8 @@ def truths(poses: Poses, stages: list[Stage], chunk: int, expert: ExpertConfig) 
     )
     ahead = (ahead_m > CLOSEST) & stands
     gate = project(centers, poses.position, poses.quaternion)
-    in_view = _inside(gate[..., 0], gate[..., 1]) & (gate[..., 2] > _NEAREST) & (ahead_m > 0) & stands
+    inside = ((gate[..., :2] >= 0) & (gate[..., :2] < IMAGE_SIZE)).all(axis=-1)
+    in_view = inside & (gate[..., 2] > _NEAREST) & (ahead_m > 0) & stands
     turned = wrap_angle(yaws - heading[:, None])
     distance = np.linalg.norm(centers - poses.position[:, None], axis=-1)
     nearest = np.where(stands, distance, np.inf).min(axis=1, keepdims=True)
@@ -105,10 +106,6 @@ def truths(poses: Poses, stages: list[Stage], chunk: int, expert: ExpertConfig) 
         valid=ahead & ((distance <= nearest) | (np.where(stands, ahead_m, np.inf).min(axis=1) > COMMITTED)[:, None]),
         ahead=ahead,
     )
-
-
-def _inside(u: FloatArray, v: FloatArray) -> NDArray[np.bool_]:
-    return (u >= 0) & (u < IMAGE_SIZE) & (v >= 0) & (v < IMAGE_SIZE)
 
 
 def _panels(poses: Poses, stages: list[Stage]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:

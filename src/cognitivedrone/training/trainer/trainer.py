@@ -98,9 +98,11 @@ def _trained(config: TrainConfig, report: Callable[[str], None]) -> Path:
     loss_module.train()  # new modules are in training mode, even those that shall stay in evaluation mode
     part = training_task.share(accelerator.num_processes)
     first_round, rank = step // schedule.round_steps, accelerator.process_index
+    # On standard output, like the lines of the rounds, which are printed above it.
+    columns, main = (SpinnerColumn(), TimeElapsedColumn()), accelerator.is_main_process
     with (
         _report_when_stopped(out, lambda: step),
-        _progress(enabled=accelerator.is_main_process) as progress,
+        progress_bar("note", show=main, columns=columns, screen=console()) as progress,
         ExitStack() as stack,
     ):
         bar = progress.add_task(schedule.name, total=schedule.steps, completed=step, note="drawing validation data")
@@ -204,12 +206,6 @@ def _parts(network: nn.Module) -> list[list[nn.Parameter]]:
     for name, parameter in network.named_parameters():
         parts[name.partition(".")[0]].append(parameter)
     return list(parts.values())
-
-
-def _progress(*, enabled: bool) -> Progress:
-    # On standard output, like the lines of the rounds, which are printed above it.
-    columns = (SpinnerColumn(), TimeElapsedColumn())
-    return progress_bar("note", show=enabled, columns=columns, screen=console())
 
 
 class _Stages:

@@ -174,7 +174,10 @@ class FlightCore:
             if not confirm(checklist):
                 raise LinkError("the take-off was not confirmed; nothing was armed")
             self._modes = frozenset({self.telemetry.mode})
-            self._stream_first()
+            if self.link.autopilot.flies_by_stream:  # it wants to see velocities for a while before
+                self._streaming = True
+                self.link.until(lambda: bool(self._given_up), STREAM_FIRST_S)
+                self.check_wanted()
             self._set_mode(self.link.autopilot.guided)
         except LinkError:
             self._streaming = False
@@ -311,13 +314,6 @@ class FlightCore:
                 f"the vehicle is not ready: {self.config.ready_timeout_s:g} s have passed, and it does not report that"
                 f" it {lacking}{last_words(self.telemetry, self._opened)}"
             )
-
-    def _stream_first(self) -> None:
-        """Send velocities for as long as a vehicle that flies by a stream of them wants to see it before."""
-        self._streaming = self.link.autopilot.flies_by_stream
-        if self._streaming:
-            self.link.until(lambda: bool(self._given_up), STREAM_FIRST_S)
-            self.check_wanted()
 
     def _stream(self) -> None:
         """The velocity until it is up: none on the ground, then upwards, and more slowly near the height."""

@@ -357,7 +357,7 @@ class SupervisedDrone:
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(TOLD_S)
         if self._process.poll() is None:
-            _leave(self._process)
+            _LEFT[:] = [*(other for other in _LEFT if other.poll() is None), self._process]
 
     def _close_socket(self) -> None:
         with suppress(OSError):
@@ -367,12 +367,7 @@ class SupervisedDrone:
 
 
 _LEFT: list[subprocess.Popen[bytes]] = []
-
-
-def _leave(process: subprocess.Popen[bytes]) -> None:
-    """Let a process outlive this one, which is neither waited for nor warned about."""
-    _LEFT[:] = [other for other in _LEFT if other.poll() is None]
-    _LEFT.append(process)
+"""Guards that outlive this process, which are neither waited for nor warned about."""
 
 
 def _start(

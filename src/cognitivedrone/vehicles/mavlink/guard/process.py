@@ -131,7 +131,8 @@ class GuardProcess:
             self._reopen()
         self._look_at_the_time()
         self._take_signals()
-        self._watch_pilot()
+        if self._watched >= 0 and select.select([self._watched], [], [], 0)[0]:
+            self._lose_pilot("the pilot process ended")
         self._read_pilot()
         self._send()
 
@@ -161,10 +162,6 @@ class GuardProcess:
                 self._leaving = True
             self._land(NAMES[number])
 
-    def _watch_pilot(self) -> None:
-        if self._watched >= 0 and select.select([self._watched], [], [], 0)[0]:
-            self._lose_pilot("the pilot process ended")
-
     def _lose_pilot(self, reason: str) -> None:
         ours, self._leaving, self._watched = self._core.phase in ("climbing", "flying"), True, -1
         if self._pilot is not None:
@@ -172,7 +169,9 @@ class GuardProcess:
             self._pilot = None
         self._land(reason)
         if ours:
-            _speak(f"{reason}; landing")
+            with suppress(OSError, ValueError):  # standard error may take nothing at once, or be closed
+                if select.select([], [2], [], 0)[1]:
+                    os.write(2, f"cognitivedrone guard: {reason}; landing\n".encode())
 
     def _cut(self, error: LinkError) -> None:
         """The link was cut: try to open it again, to land."""
@@ -342,13 +341,6 @@ _FINAL_MESSAGES: dict[int, str] = {
     LOST: "the vehicle was lost",
     LEFT: "dismissed; the vehicle was not ours any more, and armed",
 }
-
-
-def _speak(words: str) -> None:
-    """Write a line to standard error, if that takes it at once."""
-    with suppress(OSError, ValueError):
-        if select.select([], [2], [], 0)[1]:
-            os.write(2, f"cognitivedrone guard: {words}\n".encode())
 
 
 def main() -> int:
