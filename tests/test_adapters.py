@@ -1,7 +1,5 @@
 """Users' own policies and reasoners: what they may leave out, what is called, and what was written before."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any, cast
 

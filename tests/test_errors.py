@@ -1,7 +1,5 @@
 """The line that installs a missing extra, for every way in which the package can have been installed."""
 
-from __future__ import annotations
-
 import copy
 import json
 import shlex

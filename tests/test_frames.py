@@ -1,7 +1,5 @@
 """Frames of aerospace code against those of this package."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

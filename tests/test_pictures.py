@@ -1,7 +1,5 @@
 """Pictures that would fill the memory are refused by their size, before they are decoded."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from io import BytesIO

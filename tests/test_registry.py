@@ -1,7 +1,5 @@
 """How plug-ins and their arguments are written, for all families alike."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Literal

@@ -1,7 +1,5 @@
 """A camera, a reasoner, a policy and a vehicle that tests can foresee."""
 
-from __future__ import annotations
-
 import io
 import os
 import threading

@@ -1,7 +1,5 @@
 """Makes `app_fakes`, and the vehicles that play a part, importable by their names."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

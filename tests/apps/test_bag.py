@@ -1,7 +1,5 @@
 """`fly --record mcap` and `fly --camera gazebo:TOPIC`: bags are read by rosbags' own reader, Gazebo is a fake."""
 
-from __future__ import annotations
-
 import json
 import sys
 import threading

@@ -1,7 +1,5 @@
 """What a person reads before a flight, in a real terminal, and what `fly` needs: looked at before anything is armed."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import pty

@@ -1,7 +1,5 @@
 """A sentence without one word that the pilot knows is never flown; nor is one that only looks like known words."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """Whole flights by the command's own function: in the simulator, and over real sockets on the loopback."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """`fly` with a mission: a scene for each sub-goal, flown one after another, and a landing."""
 
-from __future__ import annotations
-
 import io
 
 import pytest

@@ -1,7 +1,5 @@
 """What `fly` shows is what `bench` scores: the same task, seed and pilot give the same flight, bit for bit."""
 
-from __future__ import annotations
-
 from contextlib import closing
 
 import numpy as np

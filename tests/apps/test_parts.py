@@ -1,7 +1,5 @@
 """The parts of `fly`, each alone: view, keyboard, orders, frame server, log."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import os

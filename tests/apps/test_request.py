@@ -1,7 +1,5 @@
 """What sentences are understood to ask for: slang, typing errors, corrections, other languages; and what not."""
 
-from __future__ import annotations
-
 import pytest
 
 from cognitivedrone.apps.understanding.request import Understanding

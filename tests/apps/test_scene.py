@@ -1,7 +1,5 @@
 """What is flown at and how it is judged: the scene that holds what is asked, hovering in doubt, "you judge"."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -1,7 +1,5 @@
 """The simulator as a vehicle in a track: the next stage is behind the gate that it flies through."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

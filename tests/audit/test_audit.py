@@ -1,7 +1,5 @@
 """An audit flown for real with pilots whose shortcuts are known."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

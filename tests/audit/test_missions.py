@@ -1,7 +1,5 @@
 """The audit of order: the same scenes, the sentence the other way round."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path

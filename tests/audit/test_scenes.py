@@ -1,7 +1,5 @@
 """Changes of tasks: what is right after them, and that nothing else changes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A sample of what benchmarks/faults.py tries in full: kills at file operations, and damaged files."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What benchmarks/harnesses.py does with flights and rows; the packages themselves are not needed."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The benchmark of OpenVLA on a GPU, on the tiny networks: that each path runs, and measures what it says."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Frames by number of contexts and of processes, in small; a process that cannot draw does not hold up the others."""
 
-from __future__ import annotations
-
 import sys
 import threading
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What is said of the pictures of two renderers; here both are the processor, so nothing differs."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The speed of trainings: every kind of recipe in small, on the processor, and what follows from a rate."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Every policy and reasoner of the package keeps the interface's word."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from typing import cast

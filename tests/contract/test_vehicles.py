@@ -1,7 +1,5 @@
 """What every vehicle must do, ours and the fakes of those that are not at hand."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path

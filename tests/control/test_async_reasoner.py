@@ -1,7 +1,5 @@
 """Reasoners beside the loop: told of flights and stages, in no time or in a thread, one question at a time."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Looking closer in doubt: nearer, to either side and back, and then what the reasoner says."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Which directive is flown by: a hesitant one is soon corrected, one that was confirmed is not given up lightly."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

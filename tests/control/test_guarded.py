@@ -1,7 +1,5 @@
 """The wrapper that limits and fences commands: what it lets pass, what it changes, and what it counts."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

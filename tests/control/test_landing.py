@@ -1,7 +1,5 @@
 """Landing on a pad: by the camera in the loop, and by the oracle; wrong pads and the bare floor are told apart."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Delays: fixed, measured, or drawn from a file, and clear words about everything else."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

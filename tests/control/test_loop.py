@@ -1,7 +1,5 @@
 """The loop keeps its rates, flies chunks to their end, follows segments and rejects what cannot be flown."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The pilot's own estimate of having passed a gate: with drawn rings, and on frames of the simulator."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The rules of safety: every path of the table, and what holds whatever comes in."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Films of flights, written and read back: what they show, how long, and their page."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Models and data sets pushed to a hub over HTTP by huggingface_hub, and pulled again; and what is refused."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Random layouts: within their limits, seen and reachable from every start, and one for one seed."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """Distances to obstacles, segments that meet them, and ways around them."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Checkpoints of OpenVLA in small: a folder with every file that a published one has, made in a moment."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The calculator does what sentences ask, for every sum of the training tasks, and nothing else."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

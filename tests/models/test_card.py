@@ -1,7 +1,5 @@
 """Sentences about graphics cards, with a pretended PyTorch."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Damage to a model file is found when it is loaded; the full table is printed by benchmarks/faults_input.py."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

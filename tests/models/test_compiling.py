@@ -1,7 +1,5 @@
 """Where compiled code is kept, and what happens where compiling fails. Nothing is compiled here."""
 
-from __future__ import annotations
-
 import os
 import stat
 import tempfile

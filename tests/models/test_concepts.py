@@ -1,7 +1,5 @@
 """What sentences are taken for: the table of concepts, and what it says of panels."""
 
-from __future__ import annotations
-
 from importlib import resources
 from pathlib import Path
 

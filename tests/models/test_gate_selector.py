@@ -1,7 +1,5 @@
 """The gate selector: which of its inputs count, and that what is not there changes nothing."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """What an instruction asks for is weighed against what panels show: all readings of each group count as evidence."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """The obstacle eye: what its file says about frames, and files that are none."""
 
-from __future__ import annotations
-
 import shutil
 from importlib import resources
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The picture classifier's opinions in flight: who is asked when, what is remembered, and what is forgotten."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What a panel reader tells: probabilities of attribute values, the same in PyTorch and NumPy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """The picture classifier: crops, paper, photographs and drawings by the packaged file, damaged files."""
 
-from __future__ import annotations
-
 from importlib import resources
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Scenes in words as numbers: the pieces of BERT, five parts that begin anew, and bounds for any text."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A model file explains itself, and one that does not keep to the contract is refused in one sentence."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys

@@ -1,7 +1,5 @@
 """The network of the small VLA: what goes in, what comes out, and that what comes out is the chosen gate's action."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from typing import Any

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from cognitivedrone.models.words.text_encoder import words_of

@@ -1,7 +1,5 @@
 """The text encoder's file: the same meaning alone and in a batch, bounds for any text, a sentence on a bad file."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from tiny import DIGEST, PIECES, WIDTH, heard, tiny_encoder, tiny_model, tiny_pieces

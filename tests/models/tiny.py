@@ -1,7 +1,5 @@
 """Whole model files of a few hundred bytes: every contract of the real ones, and answers that tests can foresee."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

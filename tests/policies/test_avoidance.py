@@ -1,7 +1,5 @@
 """Commands are turned away from obstacles that are seen, or were seen, and stay as they are elsewhere."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

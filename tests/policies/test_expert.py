@@ -1,7 +1,5 @@
 """The expert passes gates at every speed, and its commands are smooth."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

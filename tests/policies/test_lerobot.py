@@ -1,7 +1,5 @@
 """LeRobot's checkpoints as policies. What loads one needs the package lerobot, in an environment of its own."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The packaged policy flies around obstacles that it sees; the same policy without its eye flies into them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The small policy: what it passes to the network, and what it says to bad input."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import warnings

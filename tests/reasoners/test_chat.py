@@ -1,7 +1,5 @@
 """A chat server that wants other fields, more time, another address: it is obeyed, and learned from once."""
 
-from __future__ import annotations
-
 import json
 import warnings
 

@@ -1,7 +1,5 @@
 """The reasoner `vlm` against llama.cpp's own server with real weights, where somebody gives them (CONTRIBUTING.md)."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Missions cut into sub-goals by the VLM reasoner, against a real HTTP server that answers well and badly."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator
 

@@ -1,7 +1,5 @@
 """A read scene in words: doubts are said, and so is what follows from what was read."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The small reasoner averages what it reads, remembers earlier stages, calculates, and admits what it cannot tell."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from tiny import DESCRIPTION, DIGEST, tiny_reasoner

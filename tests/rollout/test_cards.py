@@ -1,7 +1,5 @@
 """Workers over the cards of a machine. All cards are pretended: files as the driver's, and the workers' variables."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Iterable, Sequence

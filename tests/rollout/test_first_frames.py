@@ -1,7 +1,5 @@
 """A pool whose workers cannot all draw on one card."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Errors that come of a limit of the shell name it."""
 
-from __future__ import annotations
-
 import errno
 import os
 import resource

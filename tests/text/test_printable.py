@@ -1,7 +1,5 @@
 """Texts from outside: what must not be in them is named, and shown as an escape sequence where it is."""
 
-from __future__ import annotations
-
 import fcntl
 import io
 import os

@@ -1,7 +1,5 @@
 """What several tests of training start from."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Fine-tuning of OpenVLA in small, from flights to a flight: kept, killed, gone on with, merged, flown."""
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """The reasoner's parts learn, are exported, and say in ONNX what they said in PyTorch."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A lesson: a user's pictures and sentences are taught, and what was known stays."""
 
-from __future__ import annotations
-
 import io
 import json
 import shlex

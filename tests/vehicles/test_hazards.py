@@ -5,8 +5,6 @@ tests/control: here a drone flies by patient rules, and those that are looked at
 that a busy machine delays nothing before it.
 """
 
-from __future__ import annotations
-
 import socket
 import threading
 import time

@@ -1,7 +1,5 @@
 """What only a card can show: make test-card. It answers as the host does, also where it replays what it recorded."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Questions from the table of facts: always exactly one right gate, in grammatical sentences."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections import Counter

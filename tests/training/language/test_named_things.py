@@ -1,7 +1,5 @@
 """Animals, food and objects by name: each of them is asked for, and beside it stands nothing that is called so."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

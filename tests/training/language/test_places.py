@@ -1,7 +1,5 @@
 """Questions about places, looks and orders: one right gate, read back without the module's own rules."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Problems in words: every family in its share, nothing that is there is called absent, and the same for a seed."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 

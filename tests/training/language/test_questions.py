@@ -1,7 +1,5 @@
 """Questions about existing scenes have one right answer, whoever reads them, and only the words of training."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections import Counter

@@ -1,7 +1,5 @@
 """Typing noise: seeded, visible, and harmless to numbers, letters and the names of things."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

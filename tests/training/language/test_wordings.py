@@ -1,7 +1,5 @@
 """The corpus of wordings: the files parse, nothing is repeated or held out, every slot can be filled."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterator

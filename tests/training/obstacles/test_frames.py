@@ -1,7 +1,5 @@
 """Frames among obstacles, and how far away these are said to be."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The obstacle eye is trained, and its file says what the network says."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from pathlib import Path
 

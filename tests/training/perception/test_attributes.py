@@ -1,7 +1,5 @@
 """Every panel, board and gate of the training suite has its attributes, and they match what is drawn."""
 
-from __future__ import annotations
-
 import copy
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Panel crops show their labels as a camera would, and every readable content appears."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 import numpy as np

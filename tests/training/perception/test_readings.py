@@ -1,7 +1,5 @@
 """Described scenes: what a reader would tell of labels, and the sentences about them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Pictures as others might have drawn them: another picture of the same thing."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The truth of a frame agrees with the renderer and the expert, and knows what nobody could see."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A checkpoint becomes one file that flies, and says where it comes from."""
 
-from __future__ import annotations
-
 from collections import Counter
 from importlib import import_module
 from pathlib import Path

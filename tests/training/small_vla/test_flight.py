@@ -1,7 +1,5 @@
 """A policy is taught flying and nothing else: what it understands and reads stays as it was."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Text encoder and language are taught by sentences about described scenes; the panel reader stays as it was."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Every part of the network is taught, by a loss that falls when it does better."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from pathlib import Path

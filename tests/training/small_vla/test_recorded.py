@@ -1,7 +1,5 @@
 """Training from a data set: its frames, its actions, its splits, and a training that has seen nothing else."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Batches of the stream: their layout, their truth, and that they follow from recipe and seed alone."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections import defaultdict

@@ -1,7 +1,5 @@
 """Checkpoints come back as they were, and what is no checkpoint is refused in a sentence."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

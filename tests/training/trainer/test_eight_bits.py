@@ -1,7 +1,5 @@
 """A graph in integers computes what it did, and training gets its weights back."""
 
-from __future__ import annotations
-
 from importlib import import_module
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What only a card can show of training: make test-card. It trains there, tells its waits, and says when it is full."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Where the time of a training goes, by a clock that is set, and by a card's pretended one."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Networks train in bfloat16 only where the processor multiplies it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from types import SimpleNamespace

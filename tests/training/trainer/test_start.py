@@ -1,7 +1,5 @@
 """What a training starts from: checkpoints, model files and the shipped weights; and what it cannot start from."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

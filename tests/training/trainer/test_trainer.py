@@ -1,7 +1,5 @@
 """A whole training in small: kept, killed, gone on with, and the same in the end."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
