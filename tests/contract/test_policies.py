@@ -230,6 +230,11 @@ class Nothing:
     ("name", "says"),
     [
         ("hoover", "did you mean 'hover'"),
+        ("hover:fast", "'hover' takes no argument"),
+        ("small:no/such/model.onnx", "there is no model file no/such/model.onnx"),
+        ("small:", "ends at its colon"),
+        ("smal:model.onnx", "no module 'smal'; did you mean 'small:model.onnx'?"),
+        ("runs/a/model.onnx", "write small:runs/a/model.onnx"),
         ("no_such_module:Thing", "no module 'no_such_module'"),
         ("mine/seek.py:Seek", r"name the module, not its file: PYTHONPATH=mine \.\.\. seek:Seek"),
         ("cognitivedrone.policies.baselines:Hoover", "has no 'Hoover'"),

@@ -11,27 +11,6 @@ from cognitivedrone.models.words.calculator import calculate, evaluate, numeral
 from cognitivedrone.models.words.running_total import told
 from cognitivedrone.tasks.suites import drawn_task, train_task
 
-
-@pytest.mark.parametrize(
-    ("sentence", "value"),
-    [
-        ("Fly through the gate with the number equal to 3*3", 9),
-        ("Fly to the gate with the result of 14+(5+0)", 19),
-        ("Take the gate under the value of (7 + 2) * 2", 18),
-        ("Go through the gate with seven times two", 14),
-        ("the answer to 12 − 5", 7),
-        ("the answer to 3 × 4", 12),
-        ("Add 3 and 4, then take away 2, and fly through the gate with the number you get", 5),
-        ("Subtract 4 from 12, then multiply the result by 2, and fly on", 16),
-        ("Fly through the gate with the number seventeen", None),
-        ("Find the animal with 4-legs", None),
-        ("", None),
-    ],
-)
-def test_what_a_sentence_asks(sentence, value):
-    assert calculate(sentence) == value
-
-
 ONES = [
     *("zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"),
     *("thirteen", "fourteen", "fifteen", "sixteen", "seventeen", "eighteen", "nineteen"),
@@ -80,6 +59,18 @@ def test_nothing_but_arithmetic_is_evaluated(expression):
 @pytest.mark.parametrize(
     ("sentence", "value"),
     [
+        ("Fly through the gate with the number equal to 3*3", 9),
+        ("Fly to the gate with the result of 14+(5+0)", 19),
+        ("Take the gate under the value of (7 + 2) * 2", 18),
+        ("Go through the gate with seven times two", 14),
+        ("the answer to 12 − 5", 7),
+        ("the answer to 3 × 4", 12),
+        ("Add 3 and 4, then take away 2, and fly through the gate with the number you get", 5),
+        ("Subtract 4 from 12, then multiply the result by 2, and fly on", 16),
+        ("Fly through the gate with the number seventeen", None),
+        ("Find the animal with 4-legs", None),
+        ("", None),
+        # In words
         ("a third of twelve", 4),
         ("half of 8 pls", 4),
         ("two thirds of nine", 6),
@@ -142,7 +133,7 @@ def test_nothing_but_arithmetic_is_evaluated(expression):
         ("(" * 300 + "1+1" + ")" * 300, None),
     ],
 )
-def test_arithmetic_in_words(sentence, value):
+def test_what_a_sentence_asks(sentence, value):
     assert calculate(sentence) == value
 
 

@@ -147,24 +147,6 @@ def test_a_model_file_is_given_behind_the_name(tiny_model_file):
         racer.reset(EpisodeContext("Take the gate of the pangolin"))
 
 
-@pytest.mark.parametrize(
-    ("name", "says"),
-    [
-        ("small:no/such/model.onnx", "there is no model file no/such/model.onnx"),
-        ("small:", "ends at its colon"),
-        ("hover:fast", "'hover' takes no argument"),
-        ("oracle:fast", "'oracle' takes no argument"),
-        ("smal:model.onnx", "no module 'smal'; did you mean 'small:model.onnx'?"),
-        ("runs/a/model.onnx", "write small:runs/a/model.onnx"),
-        ("cognitivedrone.policies.small:Smal", "has no 'Smal'"),
-    ],
-)
-def test_a_name_with_a_wrong_argument_is_reported_in_one_sentence(name, says):
-    with pytest.raises(PolicyError, match=says) as error:
-        make_policy(name)
-    assert "\n" not in str(error.value)
-
-
 def test_a_package_without_weights_says_what_to_do(monkeypatch):
     monkeypatch.setattr(Small, "weights", "none")
     with pytest.raises(PolicyError, match=r"no model none: reinstall cognitivedrone, or train one"):
