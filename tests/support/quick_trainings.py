@@ -12,11 +12,12 @@ from typing import Any
 import pytest
 import torch
 
+from cognitivedrone.envs.track_runner import TrackConfig
 from cognitivedrone.models.eyes.panel_reader import ReaderConfig
 from cognitivedrone.training.perception import panel_crops, readings
 from cognitivedrone.training.reasoner.reader import READER
 from cognitivedrone.training.reasoner.selector import DEBUG_SELECTOR
-from cognitivedrone.training.small_vla import export
+from cognitivedrone.training.small_vla import export, policy
 from cognitivedrone.training.small_vla.policy import PolicyTraining
 from cognitivedrone.training.trainer import checkpoint, trainer
 from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, read_checkpoint, restore, save_checkpoint
@@ -37,11 +38,16 @@ SMALL_SELECTOR = replace(DEBUG_SELECTOR, **SCHEDULE, batch=32, validation_senten
 
 
 def make_small(patch: pytest.MonkeyPatch) -> None:
-    """Draw few pictures and frames where a real training draws thousands."""
+    """Draw few pictures and frames where a real training draws thousands, and end trials early."""
     patch.setattr(readings, "CROPS", 200)
     patch.setattr(panel_crops, "_KEPT", 64)
     patch.setattr(readings, "CALIBRATION_CROPS", 400)
     patch.setattr(export, "_STATISTICS_FRAMES", 100)
+    patch.setattr(policy, "TrackConfig", lambda **_: TrackConfig(time_limit_s=3.0))
+    drawn = export._drawn
+    patch.setattr(
+        export, "_drawn", lambda stream, *of: drawn(replace(stream, worlds=4, sampled=0.5, pool=1, varied=0.0), *of)
+    )
 
 
 class QuickPolicyTraining(PolicyTraining):

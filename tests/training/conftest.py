@@ -29,6 +29,16 @@ def small() -> Iterator[None]:
     torch.set_num_threads(threads)
 
 
+@pytest.fixture
+def no_accelerator() -> Iterator[None]:
+    """Accelerate's settings hold for the whole process: those of earlier tests are none of these tests' business."""
+    from accelerate.state import AcceleratorState
+
+    AcceleratorState._reset_state(reset_partial_state=True)
+    yield
+    AcceleratorState._reset_state(reset_partial_state=True)
+
+
 @pytest.fixture(scope="session")
 def reader_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A tiny reader with random weights."""

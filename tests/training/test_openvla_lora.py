@@ -4,7 +4,6 @@ import json
 import math
 import os
 import shutil
-import signal
 import subprocess
 import sys
 from dataclasses import dataclass, replace
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 import torch
 from openvla_files import write_checkpoint
+from quick_trainings import killed_at
 
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.runs.runner import run
@@ -49,25 +49,6 @@ from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, DIMENSIONS, M
 # A rate at which a tiny network changes in six steps.
 RECIPE = replace(LORA_RECIPES["debug"], learning_rate=5e-3, validate_every=4)
 
-KILLED = """
-import os, signal, sys
-from dataclasses import replace
-from pathlib import Path
-import torch
-from cognitivedrone.training.openvla.lora import FineTuning, fine_tune
-from cognitivedrone.training.openvla.recipes import LORA_RECIPES
-
-def report(line):
-    # The second row is written before its checkpoint: that is where the power goes.
-    if line.startswith("step 4"):
-        os.kill(os.getpid(), signal.SIGKILL)
-
-torch.set_num_threads(1)
-recipe = replace(LORA_RECIPES["debug"], learning_rate=5e-3, validate_every=4)
-base, data, out = map(Path, sys.argv[1:])
-fine_tune(FineTuning(base, data, out, recipe, seed=3, key="drone"), report)
-"""
-
 
 @dataclass(frozen=True)
 class Runs:
@@ -95,9 +76,8 @@ def runs(tmp_path_factory: pytest.TempPathFactory, base: Path, flights: Path) ->
     folder = tmp_path_factory.mktemp("runs")
     whole = FineTuning(base, flights, folder / "whole", RECIPE, seed=3, key="drone")
     resumed = replace(whole, out=folder / "resumed", resume=True)
-    command: list[str | Path] = [sys.executable, "-c", KILLED, base, flights, resumed.out]
-    killed = subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
-    assert killed.returncode == -signal.SIGKILL, killed.stderr
+    with killed_at(4) as kill:
+        fine_tune(replace(resumed, resume=False), kill)
     # The kill came between a row and its checkpoint.
     assert (read_checkpoint(resumed.out / CHECKPOINT)[1]["step"], read_rows(resumed.out / METRICS)[-1]["step"]) == (
         2,

@@ -1,13 +1,11 @@
 """What only a card can show of training: make test-card. It trains there, tells its waits, and says when it is full."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
-from accelerate.state import AcceleratorState
 from quick_trainings import TINY_READER, train_here
 
 from cognitivedrone.errors import TrainingError
@@ -16,14 +14,6 @@ from cognitivedrone.training.trainer.checkpoint import METRICS, read_rows
 from cognitivedrone.training.trainer.training_task import Given
 
 pytestmark = [pytest.mark.card, pytest.mark.usefixtures("made_small")]
-
-
-@pytest.fixture
-def no_accelerator() -> Iterator[None]:
-    """Accelerate's settings hold for the whole process."""
-    AcceleratorState._reset_state(reset_partial_state=True)
-    yield
-    AcceleratorState._reset_state(reset_partial_state=True)
 
 
 @pytest.mark.usefixtures("no_accelerator")

@@ -1,13 +1,11 @@
 """Networks train in bfloat16 only where the processor multiplies it."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 import torch
 from accelerate import Accelerator
-from accelerate.state import AcceleratorState
 from quick_trainings import train_here
 from torch.nn.modules.module import register_module_forward_hook
 
@@ -54,14 +52,6 @@ def test_a_card_is_asked_whether_it_multiplies_bf16_itself(monkeypatch, multipli
     monkeypatch.setattr(training_task, "torch", SimpleNamespace(cuda=cuda))
     assert training_task.trains_in_bf16.__wrapped__() is multiplies
     assert asked == [False]
-
-
-@pytest.fixture
-def no_accelerator() -> Iterator[None]:
-    """Accelerate's settings hold for the whole process: those of earlier tests are none of these tests' business."""
-    AcceleratorState._reset_state(reset_partial_state=True)
-    yield
-    AcceleratorState._reset_state(reset_partial_state=True)
 
 
 @pytest.mark.usefixtures("no_accelerator")
