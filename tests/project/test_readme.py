@@ -1,6 +1,7 @@
 """What the README tells people to type exists and runs."""
 
 import ast
+import functools
 import re
 import shlex
 import subprocess
@@ -13,6 +14,8 @@ from pathlib import Path
 import pytest
 from typed_commands import typed
 from waiting import free_port
+
+import cognitivedrone
 
 ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text()
@@ -100,15 +103,9 @@ def opened(port, seconds=120):
             time.sleep(0.2)
 
 
-FEW = """
-import functools, cognitivedrone
-cognitivedrone.evaluate = functools.partial(cognitivedrone.evaluate, episodes=3)
-"""
-
-
 @pytest.mark.parametrize("part", ["gymnasium.make", "evaluate("])
-def test_its_python_runs(part):
+def test_its_python_runs(part, monkeypatch):
     """As it stands, a few tasks each."""
+    monkeypatch.setattr("cognitivedrone.evaluate", functools.partial(cognitivedrone.evaluate, episodes=2))
     code = next(b for b in re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL) if part in b)
-    done = subprocess.run([sys.executable, "-c", FEW + code], capture_output=True, text=True, timeout=120, check=False)
-    assert done.returncode == 0, done.stderr
+    exec(code, {"__name__": "__main__"})  # noqa: S102 - ours
