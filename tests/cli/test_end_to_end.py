@@ -50,17 +50,17 @@ def test_the_whole_smoke_suite_with_the_gold_directive(tmp_path):
 
 
 def test_the_gold_directive_on_any_number_of_workers(tmp_path):
-    for workers in (1, 2):
-        results = flown(tmp_path / str(workers), *GOLD, "--episodes", 3, workers=workers)
-        assert results.summary().overall.passed == 3
+    for workers in (0, 2):
+        results = flown(tmp_path / str(workers), *GOLD, "--episodes", 2, workers=workers)
+        assert results.summary().overall.passed == 2
         assert (tmp_path / str(workers) / "report.html").stat().st_size > 100_000
-    assert repeatable(tmp_path / "1") == repeatable(tmp_path / "2")
+    assert repeatable(tmp_path / "0") == repeatable(tmp_path / "2")
 
 
 def test_without_a_directive_the_seeker_flies_well_and_chooses_at_chance(tmp_path):
-    arguments = ("--suite", "open-v1:smoke", "--policy", "colour_seeker", "--clips", 0, "--episodes", 12)
+    arguments = ("--suite", "open-v1:smoke", "--policy", "colour_seeker", "--clips", 0, "--episodes", 6)
     score = flown(tmp_path / "raw", *arguments).summary().overall
-    assert 1 <= score.passed <= 8
+    assert 1 <= score.passed <= 4
     assert score.pass_given_choice == 1.0
 
 
@@ -76,22 +76,20 @@ def test_published_tasks_fly_with_their_own_pictures(tmp_path):
         results = flown(
             tmp_path / kind,
             *("--tasks", PUBLISHED / "tasks" / f"{kind}.json", "--labels", PUBLISHED / "labels"),
-            *("--policy", "colour_seeker", "--reasoner", "oracle", "--episodes", 2),
+            *("--policy", "colour_seeker", "--reasoner", "oracle", "--episodes", 1),
         )
-        assert results.summary().overall.passed == 2
+        assert results.summary().overall.passed == 1
 
 
 def test_every_label_of_every_suite_can_be_drawn():
-    pack = load_pack()
-    for name in SUITES:
-        suite = load_suite(name, size=300) if name.endswith(":train") else load_suite(name)
-        references = {r for track in suite.tracks for task in track for r in (*task.labels, task.board) if r}
-        for reference in sorted(references)[::4]:
-            assert pack.image(reference).shape == (256, 256, 3)
+    pack, tasks = load_pack(), [task for name in SUITES for track in load_suite(name).tracks for task in track]
+    references = {reference for task in tasks for reference in (*task.labels, task.board) if reference}
+    for reference in sorted(references)[::4]:
+        assert pack.image(reference).shape == (256, 256, 3)
 
 
 def test_two_runs_are_compared(tmp_path):
-    arguments = ("--suite", "open-v1:smoke", "--policy", "colour_seeker", "--episodes", 2, "--clips", 0)
+    arguments = ("--suite", "open-v1:smoke", "--policy", "colour_seeker", "--episodes", 1, "--clips", 0)
     flown(tmp_path / "a", *arguments)
     flown(tmp_path / "b", *arguments, "--reasoner", "oracle")
     assert "McNemar" in typed(["compare", "a", "b"], tmp_path)
