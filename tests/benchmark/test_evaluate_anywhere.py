@@ -16,7 +16,7 @@ from cognitivedrone.terminal.progress import progress_bar
 
 CALL = """
 from cognitivedrone import evaluate
-evaluation = evaluate("oracle", "open-v1:smoke", episodes=2, workers=2, progress=False)
+evaluation = evaluate("oracle", "open-v1:smoke", episodes=1, workers=1, progress=False)
 print("score", evaluation.summary.overall.passed, evaluation.results.episodes[0].stages[0].time_s)
 """
 

@@ -63,7 +63,7 @@ def stuck(folder: Path, policy: str, *command: str) -> Iterator[tuple[subprocess
         yield process, stuck_pilots.hanging(folder / "stuck", LIMIT_S)
 
 
-@pytest.mark.parametrize("policy", ["InForeignCode", "Deaf"])
+@pytest.mark.parametrize("policy", [pytest.param("InForeignCode", marks=pytest.mark.slow), "Deaf"])
 def test_a_second_ctrl_c_ends_a_flight_in_the_simulator_whose_policy_never_answers(tmp_path, policy):
     with stuck(tmp_path, policy, *FLY) as (process, pid):
         press(pid)
@@ -90,7 +90,7 @@ def test_sigterm_alone_ends_such_a_flight(tmp_path):
     assert (tmp_path / "out" / "steps.parquet").exists()
 
 
-@pytest.mark.parametrize("second", [signal.SIGINT, None])
+@pytest.mark.parametrize("second", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), None])
 def test_a_benchmark_in_one_process_ends_as_well(tmp_path, second):
     with stuck(tmp_path, "InForeignCode", *BENCH, "--workers", "0") as (process, pid):
         press(pid, signal.SIGTERM)
@@ -100,7 +100,7 @@ def test_a_benchmark_in_one_process_ends_as_well(tmp_path, second):
     assert (code, output.splitlines()[-1]) == (130, "cognitivedrone: stopped at once")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGHUP])
 def test_a_benchmark_with_workers_ends_in_order_at_the_first_signal_of_any_kind(tmp_path, number):
     with stuck(tmp_path, "InForeignCode", *BENCH, "--workers", "1") as (process, worker):
         press(process.pid, number)
@@ -136,7 +136,7 @@ def test_a_worker_that_ignores_sigterm_is_killed(tmp_path):
         assert not runs(worker)
 
 
-@pytest.mark.parametrize("policy", ["InForeignCode", "HoldingTheInterpreter"])
+@pytest.mark.parametrize("policy", [pytest.param("InForeignCode", marks=pytest.mark.slow), "HoldingTheInterpreter"])
 def test_a_worker_ends_with_its_parent_whatever_it_is_in(tmp_path, policy):
     """And what the parent could not remove goes at the next start."""
     with stuck(tmp_path, policy, *BENCH, "--workers", "1") as (process, worker):
@@ -162,8 +162,10 @@ raise {error}
 """
 
 
-@pytest.mark.parametrize("error", ["ImportError('initialization failed')", "ModuleNotFoundError(name='uvicorn')"])
-@pytest.mark.parametrize("module", ["tyro", "uvicorn"])
+@pytest.mark.parametrize(
+    ("module", "error"),
+    [("tyro", "ImportError('initialization failed')"), ("uvicorn", "ModuleNotFoundError(name='uvicorn')")],
+)
 def test_ctrl_c_while_a_module_is_loaded_is_no_traceback(tmp_path, module, error):
     """Of the command line itself, and of a command: a compiled module makes another error of it."""
     (tmp_path / "modules").mkdir()

@@ -48,11 +48,11 @@ if __name__ == "__main__":
 
 def test_the_number_of_workers_changes_nothing(config, tmp_path):
     alone = config.changed(out=tmp_path / "alone", clips=3)
-    team = config.changed(out=tmp_path / "team", clips=3, workers=3)
+    team = config.changed(out=tmp_path / "team", clips=3, workers=2)
     run(alone, progress=False, runner=RUNNER)
     results = run(team, progress=False, runner=RUNNER)
     assert [episode.episode for episode in results.episodes] == list(range(20))
-    assert results.timing.workers == 3
+    assert results.timing.workers == 2
     assert lasting(tmp_path / "alone") == lasting(tmp_path / "team")
 
 
@@ -100,9 +100,9 @@ def test_ctrl_c_with_workers_ends_them_quietly(config):
 @pytest.mark.parametrize(
     ("change", "runner", "says"),
     [
-        ({"workers": 2}, "DyingRunner", r"episode 5 \(open-v1:train/0-5\) was killed by SIGKILL.*--resume"),
+        ({"workers": 1}, "DyingRunner", r"episode 5 \(open-v1:train/0-5\) was killed by SIGKILL.*--resume"),
         ({"workers": 1}, "LeavingRunner", r"the worker of episode 5 .* ended with exit code 0; continue with --resume"),
-        ({"workers": 2}, "BuggyRunner", r"episode 5 .* failed: ZeroDivisionError: a bug in a policy.*error\.txt"),
+        ({"workers": 1}, "BuggyRunner", r"episode 5 .* failed: ZeroDivisionError: a bug in a policy.*error\.txt"),
         (
             {"fail_fast": True},
             "RaisingRunner",
@@ -127,7 +127,7 @@ def test_what_ends_a_run_is_reported_with_its_episode_and_the_rest_is_kept(confi
     [
         ("HangingRunner", "took longer than 1 s", "benchmark_fakes.py", 2),
         ("QuittingRunner", "ended with exit code 0 during a call of policy or reasoner", "exit code 0", 1),
-        ("CrashingRunner", "was killed by SIGSEGV during a call", "Segmentation fault", 2),
+        ("CrashingRunner", "was killed by SIGSEGV during a call", "Segmentation fault", 1),
     ],
 )
 def test_a_worker_that_a_policy_takes_down_costs_one_episode(config, runner, says, trace, workers):
@@ -163,9 +163,9 @@ def test_overwriting_takes_old_tracebacks_away(config):
 @pytest.mark.parametrize(
     ("workers", "runner", "says"),
     [
-        (2, "StillbornRunner", "a worker ended with exit code 3 before it was ready; bench --workers 0"),
+        (1, "StillbornRunner", "a worker ended with exit code 3 before it was ready; bench --workers 0"),
         (0, "UnlabelledRunner", r"^label 'zebr' is not in the pack; did you mean 'zebra'\?$"),
-        (2, "UnlabelledRunner", r"^label 'zebr' is not in the pack; did you mean 'zebra'\?$"),
+        (1, "UnlabelledRunner", r"^label 'zebr' is not in the pack; did you mean 'zebra'\?$"),
     ],
 )
 def test_a_worker_that_cannot_start_is_reported_in_its_own_words(config, workers, runner, says):
