@@ -23,7 +23,7 @@ from cognitivedrone.envs.worlds import proprioception
 from cognitivedrone.errors import SimulationError, did_you_mean
 from cognitivedrone.frames import world_to_heading, yaw_of
 from cognitivedrone.models.words.text_encoder import words_of
-from cognitivedrone.types import IMAGE_SIZE, Action, FloatArray, StageResult
+from cognitivedrone.types import IMAGE_SIZE, Action, DroneState, FloatArray, Stage, StageResult
 from cognitivedrone.world.geometry import gate_centers, gate_yaws, half_width, to_gate_frame
 
 SIZE = 256
@@ -125,19 +125,20 @@ def state_space() -> spaces.Box:
 
 def states_of(runners: Sequence[TrackRunner]) -> FloatArray:
     """The states (worlds, 11) float32 of the drones of several worlds."""
-    return np.stack([_state_of(runner) for runner in runners])
+    each = [(runner.world.state(), runner.stage, runner.task.target, runner.world.time()) for runner in runners]
+    return np.stack([state_of(*of) for of in each])
 
 
-def _state_of(runner: TrackRunner) -> FloatArray:
-    state, target = runner.world.state(), runner.task.target
+def state_of(state: DroneState, stage: Stage, target: int | None, time_s: float) -> FloatArray:
+    """`STATE` (11,) float32 of a drone before a stage whose right gate is `target`, as that stands at `time_s`."""
     velocity, height, yaw_rate = proprioception(state)
     gate = np.zeros(6)
     if target is not None:
         yaw = yaw_of(state.quaternion)
-        normal = gate_yaws(runner.stage)[target] - yaw
-        center = gate_centers(runner.stage, runner.world.time())[target]
+        normal = gate_yaws(stage)[target] - yaw
+        center = gate_centers(stage, time_s)[target]
         gate[:3] = world_to_heading(center - state.position, yaw)
-        gate[3:] = np.cos(normal), np.sin(normal), half_width(runner.stage, target)
+        gate[3:] = np.cos(normal), np.sin(normal), half_width(stage, target)
     return np.array([*gate, *velocity, height, yaw_rate], np.float32)
 
 
