@@ -119,6 +119,14 @@ def test_a_prohibition_that_is_told_to_somebody_holds(ban):
     ]
 
 
+def test_who_is_spoken_to_is_nothing_to_fly_to():
+    assert len(sub_goals("you stupid piece of junk, go to the bloody pizza")) == 1
+    goals = sub_goals("hey you useless drone, fly to the cat then the dog, never through red")
+    assert [goal.instruction for goal in goals] == ["Fly to the cat", "Fly to the dog"]
+    assert all(goal.avoid == {"red"} for goal in goals)
+    assert "forbids" in read("you never enter the red thing, go to the cat, then the dog").problem
+
+
 @pytest.mark.parametrize(
     ("sentence", "says"),
     [

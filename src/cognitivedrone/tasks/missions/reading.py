@@ -108,6 +108,12 @@ _BEGINS = re.compile(
 """After a prohibition: it has ended."""
 _ROUTE = re.compile(r"\W*(?:your|the)?\s*(?:first|route|tour|order|mission|start|begin)\b", re.I)
 _OBLIGES = re.compile(r"(^|[,;.:]) ?you (?:must|should|shall|have to|need to|ought to)\b", re.I)
+_ADDRESS = re.compile(
+    rf"^(?:\w+,? )?you (?:(?!(?:{NEGATION}|avoid|skip|only|the|an?|see|find)\b)\w+ ){{0,4}}"
+    r"(?:drone|robot|machine|thing|bot|toy|\w*copter|idiot|moron|fool|bastard|clown|heap|junk|crap|plastic|metal), ",
+    re.I,
+)
+"""Somebody is spoken to, and not well."""
 _SOMEBODY = re.compile(r"(?:you|it|he|she|they|we|i|one|people|who|that|which)\b(?! (?:with|of|showing)\b)", re.I)
 
 
@@ -146,7 +152,8 @@ def _parser() -> Lark:
 @functools.lru_cache(maxsize=512)
 def read(sentence: str) -> Reading:
     """The mission that a sentence is."""
-    text = _OBLIGES.sub(r"\1", " ".join(sentence.replace("\u2019", "'").split())).strip()
+    text = _ADDRESS.sub("", " ".join(sentence.replace("\u2019", "'").split()))
+    text = _OBLIGES.sub(r"\1", text).strip()
     alone = (SubGoal("fly", sentence),)
     if len(text) > LONGEST_SENTENCE:
         return Reading(alone, f"has {len(text)} characters; say it in {LONGEST_SENTENCE}")
