@@ -189,6 +189,22 @@ def test_a_gate_that_is_named_and_out_of_sight_is_looked_for_at_once():
     assert doubt.reason == "the gate is out of sight"
 
 
+def test_after_the_look_it_does_not_leave_a_gate_for_one_that_it_does_not_see():
+    class Losing(Judging):
+        def refine(self, image, instruction):
+            found = super().refine(image, instruction)
+            if found.directive == BLUE and self.lost:
+                self.seen = (SeenPanel("blue", None, "", ()), *self.seen)
+            return found
+
+    for lost, end in ((True, RED), (False, BLUE)):
+        Losing.lost = lost
+        onward = Steady(0.3, 0.0, 0.0, 0.0)
+        _, notes, _ = flown(lambda drone: (BLUE, 0.9) if drone.time > 12 else (RED, 0.5), 16.0, onward, kind=Losing)
+        assert notes.events.count("sure") == 1
+        assert notes.followed[-1] == end
+
+
 def test_what_nobody_understands_is_declined():
     drone, doubt, notes = Plane(), CloserLook(), Notes()
 

@@ -155,7 +155,8 @@ class CloserLook:
                 self._look()
             elif self._answers == 1 and self.rule.below > 0 and heights and _out_of_sight(answer):
                 self._look("the gate is out of sight")
-            return not self.active
+            # No policy flies to what it does not see: after a look it flies on to the gate before it.
+            return not self.active and not (self._looks and _out_of_sight(answer))
         if not self._arrived or answer.question.time < self._since:
             return False
         self.sure = value
