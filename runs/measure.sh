@@ -49,7 +49,7 @@ fly() { # FOLDER SUITE OPTIONS...
 
 r1=(--policy "$policy" --reasoner "$reasoner")
 
-# results/PILOT.json; results/bench_time.json has the wall times of those that were flown in one go.
+# results/PILOT.json
 if wanted scores; then
   for suite in "${suites[@]}"; do bench r1 "$suite" "${r1[@]}"; done
   if [[ $size == full ]]; then
@@ -132,6 +132,7 @@ if wanted speed && [[ $size == full ]]; then
   measure mission_end mission_end "${r1[@]}"
   measure first_score first_score "$python"
   measure serving serving
+  measure ratios ratios
 fi
 
 submitted() { # PILOT NAME

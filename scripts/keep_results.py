@@ -3,8 +3,8 @@
 Run: python scripts/keep_results.py OUT RESULTS [PAGES]
 
 Each folder OUT/scores/PILOT with its runs becomes the submission RESULTS/PILOT.json, OUT/reason/* becomes
-RESULTS/reasoner_alone.json, and OUT/audit/PILOT becomes RESULTS/audit_PILOT.json; RESULTS/bench_time.json has the wall
-times of runs, RESULTS/training_times.json those of the training runs in OUT. Partial runs are left out, and named.
+RESULTS/reasoner_alone.json, and OUT/audit/PILOT becomes RESULTS/audit_PILOT.json; RESULTS/training_times.json has the
+times of the training runs in OUT. Partial runs are left out, and named.
 
 With PAGES, the folder of the files that pages show, they are copied there. Runs of other weights than the new ones stay
 there as PILOT_before.json: pages show them, marked, where there is no newer run. Runs of the same weights that were not
@@ -28,14 +28,6 @@ from cognitivedrone.benchmark.submission import submission_of, write_submission
 from cognitivedrone.errors import RunError
 
 BY = "CognitiveDrone"
-TIMED = "open-v1-test"
-"""The folder of the runs whose wall times are kept."""
-TAUGHT = ("recorded", "stream")
-"""Pilots that differ from others by their training alone, and take the same time."""
-WHOLE = 300
-"""Their tasks."""
-
-
 WEIGHTS = ("model", "reasoner_model")
 
 
@@ -43,7 +35,6 @@ def main(out: Path, results: Path, pages: Path | None = None) -> None:
     """Write the files."""
     for folder in sorted((out / "scores").glob("*")):
         keep_pilot(sorted(path.parent for path in folder.glob(f"*/{RESULTS_FILE}")), results / f"{folder.name}.json")
-    keep_times(sorted((out / "scores").glob(f"*/{TIMED}/{RESULTS_FILE}")), results / "bench_time.json")
     keep_trainings(sorted(out.glob("*/metrics.jsonl")), results / "training_times.json")
     keep_reasoner(sorted((out / "reason").glob(f"*/{SUMMARY_FILE}")), results / "reasoner_alone.json")
     for path in sorted((out / "audit").glob(f"*/{AUDIT_FILE}")):
@@ -98,30 +89,6 @@ def keep_pilot(folders: list[Path], path: Path) -> None:
     if whole:
         write_submission(path, submission_of(whole, path.stem, BY))
         print(path)
-
-
-def keep_times(paths: list[Path], path: Path) -> None:
-    """Wall times of the runs that were flown in one go."""
-    runs = {each.parents[1].name: read_results(each) for each in paths}
-    runs = {name: run for name, run in runs.items() if not name.startswith(TAUGHT)}
-    whole = {name: run for name, run in runs.items() if run.timing.episodes_flown == len(run.episodes) >= WHOLE}
-    rows = [
-        {
-            "pilot": name,
-            "wall_s": run.timing.wall_s,
-            "workers": run.timing.workers,
-            "date": run.timing.finished[:10],
-            "commit": run.platform.get("commit", "none")[:10],
-        }
-        for name, run in whole.items()
-    ]
-    if whole:
-        last = max(whole.values(), key=lambda run: run.timing.finished)
-        command = "cognitivedrone bench --suite open-v1:test --policy P --reasoner R"
-        facts, finished = last.platform, last.timing.finished
-        write(
-            path, measurement("Wall time of runs of 300 tasks", command, rows, seed=0, facts=facts, finished=finished)
-        )
 
 
 def keep_reasoner(paths: list[Path], path: Path) -> None:

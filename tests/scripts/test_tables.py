@@ -57,7 +57,7 @@ def test_every_file_that_a_table_needs_is_there_or_comes_out_of_the_script() -> 
         describe(store)
     script = "".join((ROOT / "runs" / f"{name}.sh").read_text() for name in ("reproduce", "measure"))
     made = {*re.findall(r"^ *(?:measure|bench) (\w+) ", script, flags=re.MULTILINE)}
-    made |= {"reasoner_alone", "r1_latency", "bench_time"} & {*re.findall(r"results/(\w+)\.json", script)}
+    made |= {"reasoner_alone", "r1_latency"} & {*re.findall(r"results/(\w+)\.json", script)}
     made |= {f"recorded_{flights}" for flights in re.search(r"sets=\((.*?)\)", script)[1].split()}
     made |= {f"audit_{pilot}" for pilot in re.findall(r"/audit/(\w+)", script)}
     there = {path.stem for path in (ROOT / "results").glob("*.json")}
@@ -204,8 +204,6 @@ def test_runs_become_files_and_tables(out: Path, tmp_path: Path, capsys) -> None
     assert "stopped is not finished: 10 of 20 steps" in output
     submission = read_submission(tmp_path / "results" / "small.json")
     assert [made.run.option("wind_m_s") for made in submission.runs] == [0.0, 0.5]
-    times = read_measurement(tmp_path / "results" / "bench_time.json")
-    assert [row["pilot"] for row in times.rows] == ["small"]
     (training,) = read_measurement(tmp_path / "results" / "training_times.json").rows
     assert training == {"run": "flight", "recipe": "flight", "steps": 20, "steps_per_s": 0.67, "minutes": 0.5}
     (alone,) = read_measurement(tmp_path / "results" / "reasoner_alone.json").rows
