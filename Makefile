@@ -8,7 +8,7 @@
 #                      after a kill; two hours or so. PARTS="tests/files tests/labels" takes these tests alone, "--only busy" these runs
 # make lock            constraints.txt from pyproject.toml; UPGRADE=1 takes the newest of everything
 #
-# make bench-card      everything about a graphics card in seven minutes, into results/ and the tables of docs/
+# make bench-card      OpenVLA on a graphics card, into results/ and the tables of docs/
 # make test-card       what only an NVIDIA graphics card can show; all other tests hide it, so that they are the same everywhere
 #
 # Parts of release-check:
@@ -63,7 +63,8 @@ test-hard:
 
 bench-card:
 	@$(PYTHON) scripts/setup.py dev
-	$(RUN)/python benchmarks/card.py
+	$(RUN)/python benchmarks/openvla_gpu.py --lora --out results/openvla_gpu.json
+	$(RUN)/python scripts/render_tables.py
 
 test-card:
 	@$(PYTHON) scripts/setup.py dev

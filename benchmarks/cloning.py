@@ -27,8 +27,8 @@ from stable_baselines3.common.policies import MultiInputActorCriticPolicy
 
 from cognitivedrone.data.store import Store
 from cognitivedrone.envs.options import action_space
-from cognitivedrone.envs.wrappers import SIZE, hash_instruction
 from cognitivedrone.interfaces import Policy
+from cognitivedrone.models.words.text_encoder import VECTOR_SIZE, hash_instruction
 from cognitivedrone.policies.small import state_of
 from cognitivedrone.types import ActionChunk, EpisodeContext, FloatArray, Image, Observation
 
@@ -37,7 +37,7 @@ FACTOR = 2
 SPACE = spaces.Dict(
     {
         "image": spaces.Box(0, 255, (3, 256 // FACTOR, 256 // FACTOR), np.uint8),
-        "words": spaces.Box(-1, 1, (SIZE,), np.float32),
+        "words": spaces.Box(-1, 1, (VECTOR_SIZE,), np.float32),
         "motion": spaces.Box(-np.inf, np.inf, (5,), np.float32),
     }
 )

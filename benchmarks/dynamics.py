@@ -1,7 +1,7 @@
 """Print how long one 10 Hz control step of flight takes (40 ticks of 2.5 ms): python benchmarks/dynamics.py.
 
 Medians over batches of different size, as a multiple of real time, and as a ratio to MuJoCo's bare physics without an
-autopilot. With `--threads 1 2 4 8 16`, batches by so many threads each, and how many of the most the simulator takes.
+autopilot.
 """
 
 from __future__ import annotations
@@ -19,14 +19,12 @@ from mujoco.batch import Batch
 
 from cognitivedrone.benchmark.measurements import OUT_HELP, keep
 from cognitivedrone.sim.airframe import GRAVITY, RACER, build_model
-from cognitivedrone.sim.dynamics import BatchedFlight, threads_for
+from cognitivedrone.sim.dynamics import BatchedFlight
 
 TICKS = 40
 REPEATS = 60
 CASES = ((1, 1), (4, 1), (16, 1), (64, 1), (64, 2), (256, 2))
 """Worlds and threads."""
-BY_THREADS = (4, 16, 64, 256)
-"""Worlds that are flown by every number of threads which is asked for."""
 
 
 def median_ms(work: Callable[[], object]) -> float:
@@ -43,13 +41,11 @@ def median_ms(work: Callable[[], object]) -> float:
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, help=OUT_HELP)
-    parser.add_argument("--threads", type=int, nargs="+", help="numbers of threads")
     options = parser.parse_args(arguments)
-    cases = [(worlds, each) for worlds in BY_THREADS for each in options.threads] if options.threads else CASES
     rows: list[dict[str, Any]] = []
     print("| worlds | threads | control step ms | times real time, all worlds | over bare physics |")
     print("|---|---|---|---|---|")
-    for worlds, threads in cases:
+    for worlds, threads in CASES:
         flight = BatchedFlight(worlds, threads=threads)
         actions = np.random.default_rng(0).uniform(-1, 1, (worlds, 4)) * [1, 1, 0.1, 1]
 
@@ -63,8 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         real_time = worlds * TICKS * BatchedFlight.TICK_S * 1e3 / ours
         print(f"| {worlds} | {threads} | {ours:.2f} | {real_time:,.0f} | {ours / physics:.1f} |", flush=True)
         times = {"step_ms": ours, "real_time": real_time, "over_physics": ours / physics}
-        chosen = {"chosen": threads_for(worlds, max(options.threads))} if options.threads else {}
-        rows.append({"worlds": worlds, "threads": threads, **chosen, **times})
+        rows.append({"worlds": worlds, "threads": threads, **times})
         keep(options.out, "One 10 Hz control step of flight: 40 ticks of 2.5 ms", rows, seed=0)
 
 

@@ -1,6 +1,6 @@
 """Speed of the environments: control steps with full dynamics and 256x256 frames, and the time of a task change.
 
-Run: python benchmarks/environment.py [--many] [--out results/environment.json]
+Run: python benchmarks/environment.py [--out results/environment.json]
 
 Prints medians over repetitions, and their ratio to gym-pybullet-drones (github.com/learnsyslab/gym-pybullet-drones).
 The file is written after every repetition.
@@ -135,21 +135,9 @@ def reset_seconds() -> float:
     return statistics.median(times)
 
 
-def parts(worlds: int) -> dict[str, Any]:
-    """Where the time of a step goes: flying, with physics and gate monitors, and drawing, ms."""
-    env = gymnasium.make_vec(ID, num_envs=worlds, copy=False)
-    env.reset(seed=0)
-    together = env._worlds  # type: ignore[attr-defined]
-    steps = {"flying_ms": together.advance, "drawing_ms": together.simulator.frames}
-    return {"what": f"parts of a vector of {worlds}"} | {
-        name: 1e3 * statistics.median(timed(step) for _ in range(REPETITIONS)) / STEPS for name, step in steps.items()
-    }
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, help=OUT_HELP)
-    parser.add_argument("--many", action="store_true", help="64 worlds as well, which pay off on a graphics card")
     options = parser.parse_args(arguments)
     out = options.out
     cores = len(os.sched_getaffinity(0))
@@ -158,8 +146,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     contenders["vector of 16, obstacles"] = vector(16, suite="open-v3:clutter")
     contenders["vector of 16, six frames, ten obstacles"] = vector(16, suite=crowded(16))
     worlds = dict(zip(contenders, (1, 4, 16, 16, 16), strict=True))
-    if options.many:
-        contenders["vector of 64"], worlds["vector of 64"] = vector(64), 64
     together = importlib.util.find_spec("gym_pybullet_drones") is not None
     if together:
         contenders[PEER] = peer()
@@ -176,10 +162,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     change_ms = 1e3 * reset_seconds()
     print(f"{'task change':40} {change_ms:8.1f} ms from reset to first frame (median of {RESETS} tasks)")
     rows.append({"what": "task change", "ms": change_ms})
-    for count in (16, 64) if options.many else ():
-        rows.append(parts(count))
-        told = f"{rows[-1]['flying_ms']:.1f} ms flying, {rows[-1]['drawing_ms']:.1f} ms drawing"
-        print(f"{rows[-1]['what']:24} {told}")
     keep(out, WHAT, rows, seed=0)
 
 

@@ -56,13 +56,10 @@ def frame_rate(
     threads: int,
     rounds: int,
     rng: np.random.Generator,
-    *,
-    contexts: int | None = None,
-    ready: Callable[[], object] = lambda: None,
 ) -> float:
-    """Frames a second; `ready` is called when all is there to be drawn."""
+    """Frames a second."""
     out = np.empty((WORLDS, 256, 256, 3), np.uint8)
-    with Cameras(WORLDS, threads=threads, contexts=contexts) as cameras:
+    with Cameras(WORLDS, threads=threads) as cameras:
         for slot, appearance in enumerate(looks):
             cameras.set_stage(slot, random_stage(rng), pictures(rng), appearance=appearance)
 
@@ -70,7 +67,6 @@ def frame_rate(
             positions = START + rng.uniform([-1, -1, -0.5], 1, (WORLDS, 3))
             cameras.first_person(positions, quaternion_from_yaw(rng.normal(0, 0.2, WORLDS)), out)
 
-        ready()
         return WORLDS / median_seconds(render, rounds)
 
 

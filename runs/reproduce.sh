@@ -130,11 +130,6 @@ if [[ ${PHOTOGRAPHS:-} ]]; then
 fi
 if [[ ${GPU:-} ]]; then
   measure openvla_gpu openvla_gpu --lora
-  measure training_card training_speed
-  measure rendering_contexts rendering_contexts --processes 1 2 4 8
-  measure rendering_difference rendering_difference
-  measure environment_card environment --many
-  measure dynamics_card dynamics --threads 1 2 4 8 16
 fi
 
 "$python" "$here/scripts/keep_results.py" "$out" "$results"

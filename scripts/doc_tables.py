@@ -264,17 +264,6 @@ TABLES: Final[dict[str, Description]] = {
             "remarks": "{remarks}",
         },
     ),
-    "training-card": lines_of(
-        ("recipe", "samples/s", "waits for data", "steps of the recipe", "time, min"),
-        *(
-            Line(
-                "training_card",
-                {"recipe": recipe},
-                (f"`{recipe}`", "{samples_per_s:,.0f}", "{waiting:.0%}", "{steps:,}", "{minutes:.1f}"),
-            )
-            for recipe in ("flight", "small", "reader", "selector", "language", "teach")
-        ),
-    ),
     # docs/vehicles.md, docs/gymnasium.md
     "steps": rows_of("step_responses", {**STEPS, "max tilt deg": "{max_tilt_deg:.1f}"}),
     "dynamics": rows_of(
@@ -293,46 +282,6 @@ TABLES: Final[dict[str, Description]] = {
         having="steps_per_s",
     ),
     "ppo": rows_of("ppo", {"steps": "{steps:,}", "minutes": "{minutes:g}", "of": "{flown}", "passed": "{passed:.0%}"}),
-    "environment-card": rows_of(
-        "environment_card", {"what": "{what}", "control steps/s": "{steps_per_s:,.0f}"}, having="steps_per_s"
-    ),
-    "parts-card": lines_of(
-        ("worlds", "flying", "drawing"),
-        *(
-            Line(
-                "environment_card",
-                {"what": f"parts of a vector of {worlds}"},
-                (f"{worlds}", "{flying_ms:.1f} ms", "{drawing_ms:.1f} ms"),
-            )
-            for worlds in (16, 64)
-        ),
-    ),
-    "pictures-card": lines_of(
-        ("drawn by", "largest difference of a pixel, of 255", "pixels that differ", "flights that end otherwise"),
-        Line("rendering_difference", {}, ("{renderers}", "{largest}", "{differ:.2%}", "{otherwise} of {flights}")),
-    ),
-    "threads-card": lines_of(
-        ("worlds", "threads", "control step of flight"),
-        *(
-            Line(
-                "dynamics_card", {"worlds": worlds, "threads": threads}, (f"{worlds}", f"{threads}", "{step_ms:.2f} ms")
-            )
-            for worlds in (16, 64)
-            for threads in (1, 4, 16)
-        ),
-    ),
-    "rendering-contexts": rows_of(
-        "rendering_contexts",
-        {"OpenGL contexts": "{contexts}", "frames/s": "{frames_per_s:,.0f}", "drawn by": "{renderer}"},
-        having="contexts",
-    ),
-    "processes-card": lines_of(
-        ("processes", "frames/s together", "of them drew nothing"),
-        *(
-            Line("rendering_contexts", {"processes": count}, (f"{count}", "{frames_per_s:,.0f}", "{lost}"))
-            for count in (1, 2, 4, 8)
-        ),
-    ),
     # docs/suites.md
     "evaluations": rows_of(
         "evaluations",

@@ -31,7 +31,7 @@ class Tracked(np.ndarray):
 
 
 def reader_of(to):
-    return to.removesuffix("-video")
+    return to.removesuffix("-video").removesuffix("-words")
 
 
 def test_every_export_has_an_import():

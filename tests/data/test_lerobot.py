@@ -14,6 +14,7 @@ from cognitivedrone.data.episode import Episode, Split
 from cognitivedrone.data.formats import exchange, export, import_, lerobot
 from cognitivedrone.data.formats.lerobot_files import image_stats, number_stats
 from cognitivedrone.errors import DataError
+from cognitivedrone.models.words.text_encoder import hash_instruction
 
 FLIGHTS: list[tuple[Split, Episode]] = [
     ("val" if index == 1 else "train", make_episode(index, 3 + index)) for index in range(4)
@@ -39,6 +40,19 @@ def exported_video(tmp_path_factory):
 @pytest.fixture
 def copied(exported, tmp_path):
     return Path(shutil.copytree(exported, tmp_path / "copy"))
+
+
+def test_with_words_every_step_has_the_instruction_as_a_vector_and_all_comes_back(tmp_path):
+    assert export(iter(FLIGHTS), "lerobot-words", tmp_path / "set") == len(FLIGHTS)
+    key = lerobot.WORDS_KEY
+    rows = pq.read_table(tmp_path / "set" / DATA).to_pylist()
+    _, first = FLIGHTS[0]
+    assert np.array_equal(np.float32(rows[0][key]), hash_instruction(first.task.instruction))
+    assert json.loads((tmp_path / "set/meta/info.json").read_text())["features"][key]["shape"] == [256]
+    assert len(json.loads((tmp_path / "set/meta/stats.json").read_text())[key]["mean"]) == 256
+    back = next(each for _, each in import_(tmp_path / "set", "lerobot"))
+    assert (back.task, back.images) == (first.task, first.images)
+    assert np.array_equal(back.action, first.action)
 
 
 def test_the_folder_holds_the_layout_and_nothing_else(exported):

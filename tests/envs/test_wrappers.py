@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from cognitivedrone.envs.wrappers import HashInstruction, ShrinkImage, hash_instruction
+from cognitivedrone.envs.wrappers import HashInstruction, ShrinkImage
 from cognitivedrone.errors import SimulationError
+from cognitivedrone.models.words.text_encoder import hash_instruction
 from cognitivedrone.tasks import train_task
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "sb3_ppo.py"

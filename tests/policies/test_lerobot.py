@@ -33,7 +33,7 @@ def folder_of(path, config):
 
 
 def test_its_features_are_those_of_our_export():
-    exported = feature_spec(video=False)
+    exported = feature_spec(video=False, words=True)
     assert (lerobot.IMAGE_KEY, lerobot.DOWN_KEY) == (IMAGE_KEY, DOWN_KEY)
     assert {key: list(shape) for key, shape in SHAPES.items()} == {key: exported[key]["shape"] for key in SHAPES}
 

@@ -7,8 +7,6 @@ for studying control, and for teachers.
 
 from __future__ import annotations
 
-import itertools
-import zlib
 from collections.abc import Sequence
 from typing import Any, Literal, TypeAlias, get_args
 
@@ -22,13 +20,9 @@ from cognitivedrone.envs.track_runner import TrackRunner
 from cognitivedrone.envs.worlds import proprioception
 from cognitivedrone.errors import SimulationError, did_you_mean
 from cognitivedrone.frames import world_to_heading, yaw_of
-from cognitivedrone.models.words.text_encoder import words_of
+from cognitivedrone.models.words.text_encoder import VECTOR_SIZE, hash_instruction
 from cognitivedrone.types import IMAGE_SIZE, Action, DroneState, FloatArray, Stage, StageResult
 from cognitivedrone.world.geometry import gate_centers, gate_yaws, half_width, to_gate_frame
-
-SIZE = 256
-"""Default length of an instruction's vector."""
-
 
 Seen = dict[str, Any]
 """An observation."""
@@ -40,7 +34,7 @@ class HashInstruction(gymnasium.ObservationWrapper[Seen, Action, Seen], RecordCo
     See `hash_instruction`. Raises `SimulationError` for a size below 1.
     """
 
-    def __init__(self, env: gymnasium.Env[Seen, Action], size: int = SIZE) -> None:
+    def __init__(self, env: gymnasium.Env[Seen, Action], size: int = VECTOR_SIZE) -> None:
         RecordConstructorArgs.__init__(self, size=size)
         super().__init__(env)
         if size < 1:
@@ -72,22 +66,6 @@ class ShrinkImage(gymnasium.ObservationWrapper[Seen, Action, Seen], RecordConstr
         """The observation with a smaller image."""
         image = PillowImage.fromarray(observation["image"]).reduce(self.factor)
         return {**observation, "image": np.array(image)}
-
-
-def hash_instruction(text: str, size: int = SIZE) -> FloatArray:
-    """A sentence as (size,) float32 of length 1: signed feature hashing of its words and pairs of neighbouring words.
-
-    The hashing trick of Weinberger et al. (arXiv 0902.2206): every word and pair adds 1 or -1 at one position; its
-    CRC-32 determines position and sign. No vocabulary is needed, and the result is the same on every machine. Words are
-    those of `models.words.text.words_of`, with markers for the beginning and the end of the sentence.
-    """
-    words = ["<", *words_of(text), ">"]
-    vector = np.zeros(size, dtype=np.float32)
-    for feature in (*words[1:-1], *map(" ".join, itertools.pairwise(words))):
-        code = zlib.crc32(feature.encode("utf-8", "surrogatepass"))
-        vector[(code >> 1) % size] += 1 - 2 * (code & 1)
-    length = float(np.linalg.norm(vector))
-    return vector / np.float32(length) if length else vector
 
 
 def _replaced(env: gymnasium.Env[Seen, Action], key: str, space: spaces.Box) -> spaces.Dict:

@@ -20,6 +20,7 @@ from cognitivedrone.files.schema import check_form
 from cognitivedrone.interfaces import Policy
 from cognitivedrone.models.compiling import in_memory, why_none
 from cognitivedrone.models.openvla.checkpoint import read_header
+from cognitivedrone.models.words.text_encoder import VECTOR_SIZE, hash_instruction
 from cognitivedrone.policies.small import state_of
 from cognitivedrone.text.json_text import parse_json
 from cognitivedrone.text.printable import visible
@@ -27,8 +28,8 @@ from cognitivedrone.types import IMAGE_SIZE, ActionChunk, EpisodeContext, Observ
 
 EXTRA = "lerobot"
 IMAGE_KEY, STATE_KEY, ACTION_KEY = "observation.images.front", "observation.state", "action"
-DOWN_KEY = "observation.images.down"
-SHAPES = {STATE_KEY: (5,), ACTION_KEY: (4,)}
+DOWN_KEY, WORDS_KEY = "observation.images.down", "observation.environment_state"
+SHAPES = {STATE_KEY: (5,), ACTION_KEY: (4,), WORDS_KEY: (VECTOR_SIZE,)}
 _IMAGE = (IMAGE_SIZE, IMAGE_SIZE, 3)
 WEIGHTS = "model.safetensors"
 MAX_CONFIG_BYTES = 1 << 20
@@ -41,7 +42,7 @@ class LeRobot(Policy):
 
     As in `lerobot-eval`, it is asked at every control step and plays its own chunk of actions. Here a new stage also
     resets it, because the rest of the chunk belongs to the old instruction. One that was trained with the camera that
-    looks down flies where there is one.
+    looks down flies where there is one, one of an export with words gets the instruction as a vector, too.
     Raises `ModelError` for a folder that is no checkpoint, or one for other cameras, states or actions;
     `MissingExtra` if LeRobot is not installed.
     """
@@ -53,6 +54,7 @@ class LeRobot(Policy):
         config = read_config(self.folder)
         check_features(self.folder, config)
         self.needs_down_camera = DOWN_KEY in _features(config, "input_features")
+        self._reads_words = WORDS_KEY in _features(config, "input_features")
         torch = import_extra("torch", EXTRA)
         self._torch = torch
         name = device or ("cuda" if torch.cuda.is_available() else "cpu")
@@ -90,7 +92,9 @@ class LeRobot(Policy):
                 for key, image in cameras.items()
             }
             state = torch.from_numpy(state_of(observation))[None]
-            seen = self._before({**pictures, STATE_KEY: state, "task": [observation.instruction]})
+            words = torch.from_numpy(hash_instruction(observation.instruction))[None]
+            numbers = {STATE_KEY: state} | ({WORDS_KEY: words} if self._reads_words else {})
+            seen = self._before({**pictures, **numbers, "task": [observation.instruction]})
             action: ActionChunk = self._after(self._policy.select_action(seen)).cpu().float().numpy()
         return action
 

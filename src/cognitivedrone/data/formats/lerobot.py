@@ -47,6 +47,7 @@ from cognitivedrone.data.formats.lerobot_files import (
     FLOATS,
     IMAGE_KEY,
     TEXTS,
+    WORDS_KEY,
     Statistics,
     VideoWriter,
     cameras_of,
@@ -95,14 +96,19 @@ def export_video(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
     return export(episodes, out, video=True)
 
 
-def export(episodes: Iterable[tuple[Split, Episode]], out: Path, *, video: bool = False) -> int:
+def export_words(episodes: Iterable[tuple[Split, Episode]], out: Path) -> int:
+    """Like `export`, with the instruction as a vector, for policies that read no text, such as ACT and diffusion."""
+    return export(episodes, out, words=True)
+
+
+def export(episodes: Iterable[tuple[Split, Episode]], out: Path, *, video: bool = False, words: bool = False) -> int:
     """Write the episodes with their frames in the parquet files, losslessly; returns their number.
 
     One episode is in memory at a time, and the numbers of all for the statistics. Raises `DataError` if `out` is not
     empty or cannot be written.
     """
     with new_folder(out) as partial:
-        writer = _Writer(partial, video=video)
+        writer = _Writer(partial, video=video, words=words)
         try:
             for split, episode in _val_last(same_cameras(episodes), partial / "val.part"):
                 writer.write(split, episode)
@@ -132,9 +138,10 @@ def _val_last(episodes: Iterable[tuple[Split, Episode]], spool: Path) -> Iterato
 class _Writer:
     """Files of one data set, written in order; each episode's row group is written at once."""
 
-    def __init__(self, folder: Path, *, video: bool) -> None:
+    def __init__(self, folder: Path, *, video: bool, words: bool) -> None:
         self._folder = folder
         self._is_video = video
+        self._has_words = words
         self._cameras: tuple[str, ...] = ()
         self._statistics = Statistics()
         self._tasks: dict[str, int] = {}
@@ -154,7 +161,8 @@ class _Writer:
         task_index = self._tasks.setdefault(episode.task.instruction, len(self._tasks))
         record = json.dumps(record_of(split, episode), ensure_ascii=False)
         columns = columns_of(episode, number, first, task_index, record)
-        stats = self._statistics.add({n: v for n, v in columns.items() if n not in TEXTS}, cameras)
+        left_out = {*TEXTS, *({WORDS_KEY} if not self._has_words else ())}
+        stats = self._statistics.add({n: v for n, v in columns.items() if n not in left_out}, cameras)
         place = self._place()
         row: dict[str, Any] = {
             "episode_index": number,
@@ -206,7 +214,7 @@ class _Writer:
         path = self._folder / DATA_PATH.format(**place)
         path.parent.mkdir(parents=True, exist_ok=True)
         self._files.setdefault(split, []).append(DATA_PATH.format(**place))
-        schema = schema_of(self._cameras, video=self._is_video)
+        schema = schema_of(self._cameras, video=self._is_video, words=self._has_words)
         self._parquet = pq.ParquetWriter(path, schema, use_dictionary=list(TEXTS))
         for key in self._cameras if self._is_video else ():
             self._videos[key] = VideoWriter(self._folder / VIDEO_PATH.format(video_key=key, **place))
@@ -231,7 +239,7 @@ class _Writer:
             "splits": {name: f"{start}:{stop}" for name, (start, stop) in ranges.items() if stop > start},
             "data_path": DATA_PATH,
             "video_path": VIDEO_PATH if self._is_video else None,
-            "features": feature_spec(self._cameras, video=self._is_video),
+            "features": feature_spec(self._cameras, video=self._is_video, words=self._has_words),
         }
 
 

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from cognitivedrone.data.episode import Episode, Split, decode_image
 from cognitivedrone.data.formats.exchange import check_file, plain_facts
 from cognitivedrone.errors import DataError
+from cognitivedrone.models.words.text_encoder import VECTOR_SIZE, hash_instruction
 from cognitivedrone.pictures import MAX_SIDE
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE, Image
 
@@ -35,6 +36,8 @@ FLOATS: dict[str, tuple[str, list[str]]] = {
     "position": ("float64", ["x", "y", "z"]),
     "quaternion": ("float64", ["w", "x", "y", "z"]),
 }
+WORDS_KEY = "observation.environment_state"
+"""The instruction as a vector (`hash_instruction`), for policies that read no text; only in exports that ask for it."""
 INTEGERS = ("frame_index", "episode_index", "index", "task_index", "correct_gate", "seed")
 TEXTS = ("directive", "category", "family", "place", "record")
 """`record` is the rest of an episode, at its first step: LeRobot's tools drop unknown columns of episodes alone."""
@@ -51,7 +54,12 @@ def cameras_of(episode: Episode) -> dict[str, tuple[bytes, ...]]:
     return {IMAGE_KEY: episode.images} | ({DOWN_KEY: episode.down} if episode.down else {})
 
 
-def feature_spec(cameras: Sequence[str] = (IMAGE_KEY,), *, video: bool) -> dict[str, Any]:
+def floats_of(*, words: bool) -> dict[str, tuple[str, list[str]]]:
+    """The columns of numbers of an export, their types, and the names of their components."""
+    return FLOATS | ({WORDS_KEY: ("float32", [f"word_{n}" for n in range(VECTOR_SIZE)])} if words else {})
+
+
+def feature_spec(cameras: Sequence[str] = (IMAGE_KEY,), *, video: bool, words: bool = False) -> dict[str, Any]:
     """`features` of info.json."""
     image: dict[str, Any] = {
         "dtype": "video" if video else "image",
@@ -70,17 +78,17 @@ def feature_spec(cameras: Sequence[str] = (IMAGE_KEY,), *, video: bool) -> dict[
             "has_audio": False,
         }
     features = dict.fromkeys(cameras, image)
-    for name, (dtype, names) in FLOATS.items():
+    for name, (dtype, names) in floats_of(words=words).items():
         features[name] = {"dtype": dtype, "shape": [len(names)], "names": names}
     scalars = {"timestamp": "float32"} | dict.fromkeys(INTEGERS, "int64") | dict.fromkeys(TEXTS, "string")
     return features | {name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in scalars.items()}
 
 
-def schema_of(cameras: Sequence[str] = (IMAGE_KEY,), *, video: bool) -> pa.Schema:
+def schema_of(cameras: Sequence[str] = (IMAGE_KEY,), *, video: bool, words: bool = False) -> pa.Schema:
     """Schema of the data files: columns in the order of `feature_spec`, none for the frames of a video."""
     frame = pa.struct({"bytes": pa.binary(), "path": pa.string()})
     fields = [] if video else [pa.field(key, frame) for key in cameras]
-    for name, (dtype, names) in FLOATS.items():
+    for name, (dtype, names) in floats_of(words=words).items():
         fields.append(pa.field(name, pa.list_(pa.type_for_alias(dtype), len(names))))
     fields.append(pa.field("timestamp", pa.float32()))
     fields += [pa.field(name, pa.int64()) for name in INTEGERS]
@@ -93,10 +101,10 @@ def _plain_type(field: pa.Field) -> dict[str, Any]:
     """A column's type as the library `datasets` writes it. "Sequence" is read by all its versions, "List" from 4 on."""
     if field.name in (IMAGE_KEY, DOWN_KEY):
         return {"_type": "Image"}
-    if field.name in FLOATS:
-        dtype, names = FLOATS[field.name]
-        return {"feature": {"dtype": dtype, "_type": "Value"}, "length": len(names), "_type": "Sequence"}
-    return {"dtype": {"float": "float32"}.get(str(field.type), str(field.type)), "_type": "Value"}
+    if pa.types.is_fixed_size_list(field.type):
+        value = pa.field(field.name, field.type.value_type)
+        return {"feature": _plain_type(value), "length": field.type.list_size, "_type": "Sequence"}
+    return {"dtype": {"float": "float32", "double": "float64"}.get(str(field.type), str(field.type)), "_type": "Value"}
 
 
 def columns_of(episode: Episode, number: int, first: int, task_index: int, record: str) -> dict[str, NDArray[Any]]:
@@ -107,6 +115,7 @@ def columns_of(episode: Episode, number: int, first: int, task_index: int, recor
     return {
         "observation.state": episode.state,
         **{name: getattr(episode, name) for name in FLOATS if name != "observation.state"},
+        WORDS_KEY: np.tile(hash_instruction(episode.task.instruction), (length, 1)),
         "timestamp": (frame / CONTROL_HZ).astype(np.float32),
         "frame_index": frame,
         "index": first + frame,
@@ -121,7 +130,7 @@ def table_of(columns: dict[str, NDArray[Any]], cameras: dict[str, tuple[bytes, .
     for field in schema:
         if field.name in cameras:
             arrays.append(pa.array([{"bytes": image, "path": None} for image in cameras[field.name]], field.type))
-        elif field.name in FLOATS:
+        elif pa.types.is_fixed_size_list(field.type):
             values = np.ascontiguousarray(columns[field.name])
             arrays.append(pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1]))
         else:

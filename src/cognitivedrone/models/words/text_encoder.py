@@ -10,8 +10,10 @@ Words of a sentence, and the numbers that words name.
 
 from __future__ import annotations
 
+import itertools
 import re
 import unicodedata
+import zlib
 from collections import OrderedDict
 from collections.abc import Sequence
 from importlib import resources
@@ -53,11 +55,31 @@ def words_of(text: str) -> list[str]:
     return _TOKEN.findall(_POSSESSIVE.sub("", text) if "'" in text else text)
 
 
+Floats = NDArray[np.float32]
+
+VECTOR_SIZE = 256
+"""Default length of an instruction's vector."""
+
+
+def hash_instruction(text: str, size: int = VECTOR_SIZE) -> Floats:
+    """A sentence as (size,) float32 of length 1: signed feature hashing of its words and pairs of neighbouring words.
+
+    The hashing trick of Weinberger et al. (arXiv 0902.2206): every word and pair adds 1 or -1 at one position; its
+    CRC-32 determines position and sign. No vocabulary is needed, and the result is the same on every machine. Words are
+    those of `words_of`, with markers for the beginning and the end of the sentence.
+    """
+    words = ["<", *words_of(text), ">"]
+    vector = np.zeros(size, dtype=np.float32)
+    for feature in (*words[1:-1], *map(" ".join, itertools.pairwise(words))):
+        code = zlib.crc32(feature.encode("utf-8", "surrogatepass"))
+        vector[(code >> 1) % size] += 1 - 2 * (code & 1)
+    length = float(np.linalg.norm(vector))
+    return vector / np.float32(length) if length else vector
+
+
 TEXT_ENCODER, FILE = "text-encoder", "text_encoder.onnx"
 _KEPT = 512  # instructions whose meaning is remembered
 _ANY = 1
-
-Floats = NDArray[np.float32]
 
 
 def parts_of(instruction: str) -> tuple[str, ...]:
