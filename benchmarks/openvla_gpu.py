@@ -30,9 +30,9 @@ from cognitivedrone.benchmark.measurements import OUT_HELP, command_line
 from cognitivedrone.models.openvla.checkpoint import Quantisation
 from cognitivedrone.models.openvla.compiled import compile_blocks
 from cognitivedrone.models.openvla.decode import Autoregressive, Decoder, Parallel, Runner, greedy_tokens
-from cognitivedrone.models.openvla.fused import fuse
 from cognitivedrone.models.openvla.network import OpenVlaNetwork
 from cognitivedrone.models.openvla.prepare import ImagePreparation
+from cognitivedrone.models.openvla.weights import fuse
 from cognitivedrone.types import CONTROL_HZ, IMAGE_SIZE
 
 CHUNK = 8

@@ -18,9 +18,8 @@ from cognitivedrone.benchmark.measurements import machine_of, measurement, read_
 from cognitivedrone.benchmark.runs.job import platform_facts
 from cognitivedrone.models.openvla.checkpoint import Quantisation
 from cognitivedrone.models.openvla.config import Config, tiny_config
-from cognitivedrone.models.openvla.fused import fuse
 from cognitivedrone.models.openvla.network import OpenVlaNetwork
-from cognitivedrone.models.openvla.weights import quantise, random_network
+from cognitivedrone.models.openvla.weights import fuse, quantise, random_network
 
 FIRST_COLUMN = 44
 OTHER_COLUMNS = 14

@@ -14,10 +14,14 @@ from torch._dynamo.utils import counters  # noqa: E402
 from cognitivedrone.models.openvla.compiled import compile_blocks, uncompile  # noqa: E402
 from cognitivedrone.models.openvla.config import PATCHES, Config, tiny_config  # noqa: E402
 from cognitivedrone.models.openvla.decode import Autoregressive, Parallel, Runner, chunk_actions, greedy_tokens  # noqa: E402
-from cognitivedrone.models.openvla.fused import fuse  # noqa: E402
 from cognitivedrone.models.openvla.network import IGNORED  # noqa: E402
 from cognitivedrone.models.openvla.prepare import ImagePreparation  # noqa: E402
-from cognitivedrone.models.openvla.weights import empty_network, quantise, random_network  # noqa: E402
+from cognitivedrone.models.openvla.weights import (  # noqa: E402
+    empty_network,
+    fuse,
+    quantise,
+    random_network,
+)
 
 IDS = [1, 512, 29_901, 1724, 3158, 881, 278, 29_871]
 

@@ -7,7 +7,7 @@ from cognitivedrone.references import parse_reference
 from cognitivedrone.tasks.generate import TRAIN, words
 from cognitivedrone.tasks.suites import drawn_task
 from cognitivedrone.tasks.vocabulary import ANIMALS, FOODS, OBJECTS
-from cognitivedrone.training.language.named_things import NAMED, THINGS, clearly_other, named_thing
+from cognitivedrone.training.language.problems import NAMED, THINGS, clearly_other, named_thing
 from cognitivedrone.training.language.wordings import TYPED
 from cognitivedrone.types import Task
 

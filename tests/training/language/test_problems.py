@@ -14,9 +14,18 @@ from cognitivedrone.tasks.people import CAST, FEATURES, parse_person
 from cognitivedrone.tasks.suites import AUTHORED
 from cognitivedrone.training.language import problems
 from cognitivedrone.training.language.fact_questions import FACTS
-from cognitivedrone.training.language.named_things import NAMED, UNKNOWN_NAMES
 from cognitivedrone.training.language.places import PLACE_FAMILIES
-from cognitivedrone.training.language.problems import ABSENT, ALONE, NAMES, SHARES, Mix, Problem, Problems
+from cognitivedrone.training.language.problems import (
+    ABSENT,
+    ALONE,
+    NAMED,
+    NAMES,
+    SHARES,
+    UNKNOWN_NAMES,
+    Mix,
+    Problem,
+    Problems,
+)
 from cognitivedrone.training.perception.attributes import AttributeIndex
 
 PLAIN = Mix(

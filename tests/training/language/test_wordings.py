@@ -16,7 +16,7 @@ from cognitivedrone.tasks.generate import HELD_OUT, TRAIN, Draw, words
 from cognitivedrone.tasks.people import FEATURES, HELD_OUT_CAST
 from cognitivedrone.tasks.suites import drawn_task
 from cognitivedrone.tasks.vocabulary import HELD_OUT_FONTS, HELD_OUT_STYLES, LETTERS, LOGOS
-from cognitivedrone.training.language.named_things import THINGS
+from cognitivedrone.training.language.problems import THINGS
 from cognitivedrone.training.language.questions import ask, families
 from cognitivedrone.training.language.wordings import (
     COLORED,

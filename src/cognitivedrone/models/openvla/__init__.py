@@ -4,7 +4,6 @@
     tensors.py     names and shapes of the published tensors, and their names here
     prepare.py     from pixels and text to the network's inputs
     actions.py     velocities to 256 bins on the last tokens of the vocabulary, and back
-    vision.py      two vision transformers, side by side
     network.py     towers, projector and Llama in one network; logits, loss
     decode.py      one control step: autoregressive, or all actions of a chunk in parallel
     checkpoint.py  all checks of a folder before anything heavy is loaded
