@@ -18,9 +18,9 @@ from cognitivedrone import registry
 from cognitivedrone.benchmark.measurements import in_markdown, machine_of
 from cognitivedrone.benchmark.runs.episode import Flights, Wanted
 from cognitivedrone.benchmark.runs.job import Job, pilot_of, plan_of, resolve
+from cognitivedrone.benchmark.scores.comparison import mcnemar
 from cognitivedrone.benchmark.scores.results import FILES, Results, read_results
 from cognitivedrone.benchmark.scores.run_types import Rollout
-from cognitivedrone.benchmark.scores.scoring import mcnemar
 from cognitivedrone.benchmark.submission_file import (
     Ended,
     Rate,

@@ -8,9 +8,8 @@ from benchmark_fakes import text_of
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.reports.tables import comparison_table, results_table
 from cognitivedrone.benchmark.runs.runner import run
-from cognitivedrone.benchmark.scores.comparison import compare
+from cognitivedrone.benchmark.scores.comparison import Paired, compare
 from cognitivedrone.benchmark.scores.results import read_results, write_results
-from cognitivedrone.benchmark.scores.scoring import Paired
 from cognitivedrone.errors import RunError
 
 RUNNER = benchmark_fakes.FakeRunner

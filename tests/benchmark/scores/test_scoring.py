@@ -6,16 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
+from cognitivedrone.benchmark.scores.comparison import Paired, mcnemar, pair
 from cognitivedrone.benchmark.scores.results import encode
 from cognitivedrone.benchmark.scores.scoring import (
     OUTCOMES,
     RULES,
-    Paired,
     choices_of,
-    mcnemar,
     mean_of,
     obstacles_of,
-    pair,
     score,
     summarize,
     wilson,

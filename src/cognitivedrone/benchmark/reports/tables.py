@@ -12,10 +12,10 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from cognitivedrone.benchmark.scores.comparison import Comparison, suspicions
+from cognitivedrone.benchmark.scores.comparison import Comparison, Paired, suspicions
 from cognitivedrone.benchmark.scores.published import PUBLISHED, are_papers_tasks, comparable, paper_rows
 from cognitivedrone.benchmark.scores.results import Results
-from cognitivedrone.benchmark.scores.scoring import Interval, Paired, Score, Summary, chance_of
+from cognitivedrone.benchmark.scores.scoring import Interval, Score, Summary, chance_of
 from cognitivedrone.control.async_reasoner import UNAIDED
 from cognitivedrone.plan import Rule
 from cognitivedrone.reasoners import NONE

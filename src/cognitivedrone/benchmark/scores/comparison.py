@@ -1,18 +1,23 @@
 """Two runs over the same tasks, paired task by task.
 
+Sources: R. G. Newcombe, Interval estimation for the difference between paired proportions (Statistics in Medicine 17,
+1998); Q. McNemar (1947), exact form.
+
 What the records of a run say against its policy's input: answers that do not depend on image or instruction.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 from cognitivedrone.benchmark.scores.results import Results, read_results
 from cognitivedrone.benchmark.scores.run_types import unanswered
-from cognitivedrone.benchmark.scores.scoring import Paired, counts, pair, passes
+from cognitivedrone.benchmark.scores.scoring import Interval, counts, passes, ratio, wilson
 from cognitivedrone.errors import RunError
 from cognitivedrone.plan import Rule
 from cognitivedrone.types import ALL_CATEGORIES, Category, StageResult
@@ -21,6 +26,88 @@ SIGNIFICANT: Final = 0.05
 """A difference less probable than this by chance is called significant."""
 MACHINE: Final = {"system": "system", "machine": "architecture"}
 """What of a machine changes the last digits, by the keys of `platform` in results.json."""
+
+
+@dataclass(frozen=True, slots=True)
+class Paired:
+    """Two runs over the same stages: how often both, one or none passed."""
+
+    both: int
+    only_a: int
+    only_b: int
+    neither: int
+
+    @property
+    def n(self) -> int:
+        """Stages compared."""
+        return self.both + self.only_a + self.only_b + self.neither
+
+    @property
+    def rate_a(self) -> float | None:
+        """Share that passed in a."""
+        return ratio(self.both + self.only_a, self.n)
+
+    @property
+    def rate_b(self) -> float | None:
+        """Share that passed in b."""
+        return ratio(self.both + self.only_b, self.n)
+
+    @property
+    def difference(self) -> float | None:
+        """Rate of b minus rate of a."""
+        return ratio(self.only_b - self.only_a, self.n)
+
+    @property
+    def ci95(self) -> Interval | None:
+        """95 % interval of the difference; Newcombe's (1998) method 10 for paired rates."""
+        n = self.n
+        b, limits_b = self.both + self.only_b, wilson(self.both + self.only_b, n)
+        a, limits_a = self.both + self.only_a, wilson(self.both + self.only_a, n)
+        if limits_b is None or limits_a is None:
+            return None
+        phi, difference = _phi(self), (self.only_b - self.only_a) / n
+
+        def spread(x: float, y: float) -> float:
+            return math.sqrt(max(0.0, x * x - 2 * phi * x * y + y * y))
+
+        return (
+            difference - spread(b / n - limits_b[0], limits_a[1] - a / n),
+            difference + spread(limits_b[1] - b / n, a / n - limits_a[0]),
+        )
+
+    @property
+    def p(self) -> float:
+        """Two-sided exact McNemar."""
+        return mcnemar(self.only_a, self.only_b)
+
+
+def pair(passed: Iterable[tuple[bool, bool]]) -> Paired:
+    """The two-by-two table of (a passed, b passed)."""
+    table = Counter(passed)
+    return Paired(table[True, True], table[True, False], table[False, True], table[False, False])
+
+
+def mcnemar(a: int, b: int) -> float:
+    """Two-sided exact McNemar p-value of the discordant counts of a paired table; 1 if both are 0."""
+    from scipy.stats import binomtest  # takes half a second to import, and workers never need it
+
+    return float(binomtest(a, a + b, 0.5).pvalue) if a + b else 1.0
+
+
+def _phi(table: Paired) -> float:
+    """Correlation of the two runs' points, with the continuity correction of Newcombe's method 10."""
+    product = (
+        (table.both + table.only_a)
+        * (table.only_b + table.neither)
+        * (table.both + table.only_b)
+        * (table.only_a + table.neither)
+    )
+    if product == 0:
+        return 0.0
+    determinant: float = table.both * table.neither - table.only_a * table.only_b
+    if determinant > 0:
+        determinant = max(determinant - table.n / 2, 0.0)
+    return determinant / math.sqrt(product)
 
 
 @dataclass(frozen=True, slots=True)

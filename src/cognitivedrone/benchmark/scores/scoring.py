@@ -5,8 +5,7 @@ neither are flights in which the reasoner's server did not answer; every other s
 policy and the later stages of a track that ended early.
 
 Sources: E. B. Wilson, Probable inference (1927), for intervals of rates; R. G. Newcombe, Interval estimation for the
-difference between independent / paired proportions (Statistics in Medicine 17, 1998), for means and differences of
-rates from Wilson limits; Q. McNemar (1947), exact form, for paired comparison.
+difference between independent proportions (Statistics in Medicine 17, 1998), for means of rates from Wilson limits.
 """
 
 from __future__ import annotations
@@ -206,12 +205,12 @@ def score(stages: Iterable[StageResult], rule: Rule = "through") -> Score:
     return Score(
         n=len(counted),
         passed=len(passed),
-        rate=_ratio(len(passed), len(counted)),
+        rate=ratio(len(passed), len(counted)),
         ci95=wilson(len(passed), len(counted)),
         outcomes={outcome: tally[outcome] for outcome in OUTCOMES if tally[outcome] or outcome not in _OF_ABSENT},
         chosen_right=len(right),
-        choice_accuracy=_ratio(len(right), len(counted)),
-        pass_given_choice=_ratio(sum(passes(stage, rule) for stage in right), len(right)),
+        choice_accuracy=ratio(len(right), len(counted)),
+        pass_given_choice=ratio(sum(passes(stage, rule) for stage in right), len(right)),
         mean_time_s=_mean([stage.time_s for stage in passed]),
         median_time_s=statistics.median([stage.time_s for stage in passed]) if passed else None,
         mean_path_ratio=_mean([stage.path_ratio for stage in passed if stage.path_ratio is not None]),
@@ -285,7 +284,7 @@ def false_alarms_of(stages: Iterable[StageResult]) -> FalseAlarms | None:
     alarms = sum(stage.outcome == "false_alarm" for stage in ordinary)
     if not ordinary or (not alarms and len(ordinary) == len(counted)):
         return None
-    return FalseAlarms(len(ordinary), alarms, _ratio(alarms, len(ordinary)), wilson(alarms, len(ordinary)))
+    return FalseAlarms(len(ordinary), alarms, ratio(alarms, len(ordinary)), wilson(alarms, len(ordinary)))
 
 
 def obstacles_of(stages: Iterable[StageResult], rule: Rule = "through") -> ObstacleScore | None:
@@ -335,89 +334,8 @@ def wilson(passed: int, n: int) -> Interval | None:
     return (0.0 if passed == 0 else center - half, 1.0 if passed == n else center + half)
 
 
-@dataclass(frozen=True, slots=True)
-class Paired:
-    """Two runs over the same stages: how often both, one or none passed."""
-
-    both: int
-    only_a: int
-    only_b: int
-    neither: int
-
-    @property
-    def n(self) -> int:
-        """Stages compared."""
-        return self.both + self.only_a + self.only_b + self.neither
-
-    @property
-    def rate_a(self) -> float | None:
-        """Share that passed in a."""
-        return _ratio(self.both + self.only_a, self.n)
-
-    @property
-    def rate_b(self) -> float | None:
-        """Share that passed in b."""
-        return _ratio(self.both + self.only_b, self.n)
-
-    @property
-    def difference(self) -> float | None:
-        """Rate of b minus rate of a."""
-        return _ratio(self.only_b - self.only_a, self.n)
-
-    @property
-    def ci95(self) -> Interval | None:
-        """95 % interval of the difference; Newcombe's (1998) method 10 for paired rates."""
-        n = self.n
-        b, limits_b = self.both + self.only_b, wilson(self.both + self.only_b, n)
-        a, limits_a = self.both + self.only_a, wilson(self.both + self.only_a, n)
-        if limits_b is None or limits_a is None:
-            return None
-        phi, difference = _phi(self), (self.only_b - self.only_a) / n
-
-        def spread(x: float, y: float) -> float:
-            return math.sqrt(max(0.0, x * x - 2 * phi * x * y + y * y))
-
-        return (
-            difference - spread(b / n - limits_b[0], limits_a[1] - a / n),
-            difference + spread(limits_b[1] - b / n, a / n - limits_a[0]),
-        )
-
-    @property
-    def p(self) -> float:
-        """Two-sided exact McNemar."""
-        return mcnemar(self.only_a, self.only_b)
-
-
-def pair(passed: Iterable[tuple[bool, bool]]) -> Paired:
-    """The two-by-two table of (a passed, b passed)."""
-    table = Counter(passed)
-    return Paired(table[True, True], table[True, False], table[False, True], table[False, False])
-
-
-def mcnemar(a: int, b: int) -> float:
-    """Two-sided exact McNemar p-value of the discordant counts of a paired table; 1 if both are 0."""
-    from scipy.stats import binomtest  # takes half a second to import, and workers never need it
-
-    return float(binomtest(a, a + b, 0.5).pvalue) if a + b else 1.0
-
-
-def _phi(table: Paired) -> float:
-    """Correlation of the two runs' points, with the continuity correction of Newcombe's method 10."""
-    product = (
-        (table.both + table.only_a)
-        * (table.only_b + table.neither)
-        * (table.both + table.only_b)
-        * (table.only_a + table.neither)
-    )
-    if product == 0:
-        return 0.0
-    determinant: float = table.both * table.neither - table.only_a * table.only_b
-    if determinant > 0:
-        determinant = max(determinant - table.n / 2, 0.0)
-    return determinant / math.sqrt(product)
-
-
-def _ratio(part: int, whole: int) -> float | None:
+def ratio(part: int, whole: int) -> float | None:
+    """The share; none of nothing."""
     return part / whole if whole else None
 
 
