@@ -2,9 +2,9 @@
 
 Run: python benchmarks/inference.py [model.onnx] [--out results/inference.json]
 
-Prints the time to load it, its memory (proportional set size of this process, which then holds nothing but the policy)
-and size; and of flights of `open-v1:test` that it flies, median and 99th percentile of the time of a decision at every
-frame and of the packaged reasoner's answer at every fifth, which the policy has seen just before.
+Prints the time to load it, its size, and the memory of this process with it (proportional set size: Python and its
+libraries, and the policy); and of flights of `open-v1:test` that it flies, median and 99th percentile of the time of a
+decision at every frame and of the packaged reasoner's answer at every fifth, which the policy has seen just before.
 """
 
 from __future__ import annotations

@@ -51,29 +51,15 @@ class Config:
 def commands(tasks: int) -> dict[str, list[str]]:
     """What is run, by what it is called; `OUT` is a new folder."""
     cli = ["-m", "cognitivedrone"]
-    bench = [
-        *cli,
-        "bench",
-        "--suite",
-        "open-v1:test",
-        "--episodes",
-        str(tasks),
-        "--workers",
-        "2",
-        "--clips",
-        "0",
-        "--out",
-        "OUT",
-    ]
+    bench = [*cli, *f"bench --suite open-v1:test --episodes {tasks} --workers 2 --clips 0 --out OUT".split()]
+    collect = [*cli, *f"collect --episodes {tasks} --episodes-per-shard 10 --workers 2 --out OUT".split()]
     return {
         f"{tasks} tasks by R1": [*bench, "--policy", "small", "--reasoner", "small"],
         f"{tasks} tasks by `small`": [*bench, "--policy", "small"],
         f"{tasks} tasks by `oracle`": [*bench, "--policy", "oracle"],
-        f"`collect`, {tasks} flights": [
-            *cli, "collect", "--episodes", str(tasks), "--episodes-per-shard", "10", "--workers", "2", "--out", "OUT",
-        ],
+        f"`collect`, {tasks} flights": collect,
         f"{25 * tasks} steps of one environment": ["-c", STEPS.format(steps=25 * tasks)],
-    }  # fmt: skip
+    }
 
 
 def seconds(checkout: Path, arguments: Sequence[str]) -> float:
@@ -91,6 +77,7 @@ def main(config: Config) -> None:
     timed = commands(config.tasks)
     with tempfile.TemporaryDirectory() as folder:
         checkouts = {"now": ROOT, **{commit: Path(folder) / commit for commit in config.commits}}
+        git("worktree", "prune")  # of a run that was killed
         for commit in config.commits:
             git("worktree", "add", "--detach", str(checkouts[commit]), commit)
         try:

@@ -134,6 +134,7 @@ class CloserLook:
     def hear(self, answer: Answer) -> bool:
         """Take an answer; whether the control loop is to follow it: on the way, answers only ripen.
 
+        After a look, an answer that names a gate out of sight is not followed, and the one before it goes on to count.
         Faults that say nothing about the scene are not counted.
         """
         guidance, self.ended = answer.guidance, False
