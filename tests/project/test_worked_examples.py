@@ -1,4 +1,4 @@
-"""The worked examples of docs/architecture.md, applied to a copy of the package: they work, in as few files as said."""
+"""The worked examples of docs/tutorials/extend.md, applied to a copy of the package: they work, in as few files as said."""
 
 import os
 import re
@@ -48,7 +48,7 @@ USES = {
 
 def examples() -> dict[str, str]:
     """The examples by their titles."""
-    (_, text) = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8").split("## Worked examples\n")
+    (_, text) = (ROOT / "docs" / "tutorials" / "extend.md").read_text(encoding="utf-8").split("## Worked examples\n")
     parts = re.split(r"^\*\*(.+?)\*\*", text, flags=re.MULTILINE)[1:]
     return dict(zip(parts[::2], parts[1::2], strict=True))
 
