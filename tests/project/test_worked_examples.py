@@ -1,4 +1,4 @@
-"""The worked examples of docs/tutorials/extend.md, applied to a copy of the package: they work, in as few files as said."""
+"""The worked examples of docs/tutorials/extend.md, applied to a copy of the package: they work, in so few files."""
 
 import os
 import re
