@@ -111,7 +111,7 @@ def test_a_run_whose_reasoner_was_always_late_says_that_it_flew_without_it(late,
 
 def test_a_sweep_flies_each_latency_once_and_plots(tmp_path):
     config = SweepPlan.of(
-        out=tmp_path / "sweep", policy="colour_seeker", suite="open-v1:smoke", ms=(2000, 0), episodes=3, workers=0
+        out=tmp_path / "sweep", policy="colour_seeker", suite="open-v1:smoke", ms=(2000, 0), episodes=1, workers=0
     )
     points = sweep(config, progress=False)
     assert [ms for ms, _ in points] == [0, 2000]

@@ -81,7 +81,7 @@ def test_a_run_in_which_every_episode_fails_is_written_and_ends_with_exit_code_1
 )
 def test_mistakes_that_take_the_process_or_its_time_are_counted(tmp_path, how):
     evaluate(
-        f"user_pilots:Faulty:{how}", episodes=1, workers=1, decision_timeout=3.0, out=tmp_path, clips=0, progress=False
+        f"user_pilots:Faulty:{how}", episodes=1, workers=1, decision_timeout=1.0, out=tmp_path, clips=0, progress=False
     )
     assert lasting(tmp_path)["scores"]["through"]["overall"]["outcomes"]["policy_error"] == 1
 
@@ -120,12 +120,6 @@ def test_a_reasoner_that_returns_nonsense_is_counted_and_the_policy_flies_on(tmp
     assert overall.outcomes["policy_error"] == 0
     assert set(overall.reasoner.faults) == {fault}
     assert (tmp_path / "run" / "errors").exists() == (how == "raise")
-
-
-def test_a_policy_that_cannot_be_made_is_one_sentence_and_writes_nothing(tmp_path):
-    with pytest.raises(PolicyError, match="speed is 'fast'; it is a number"):
-        evaluate("user_pilots:Straight:fast", out=tmp_path / "run", progress=False)
-    assert not (tmp_path / "run").exists()
 
 
 def test_a_policy_that_needs_a_camera_that_looks_down_has_one_in_the_simulator(tmp_path):

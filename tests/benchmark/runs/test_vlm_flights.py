@@ -14,8 +14,6 @@ from cognitivedrone.tasks import load_suite
 TASK = load_suite("open-v1:smoke").tracks[0][0]
 RIGHT = TASK.gates[TASK.target]
 ANSWER = f'{{"size": "{RIGHT.size}", "color": "{RIGHT.color}", "shape": "{RIGHT.shape}"}}'
-OTHER = TASK.gates[(TASK.target + 1) % 3]
-
 pytestmark = pytest.mark.usefixtures("no_vlm_settings")
 
 
@@ -76,15 +74,6 @@ def test_after_a_fault_the_last_good_directive_stays(tmp_path):
     assert stage.reasoner.faults["http"] >= 2
 
 
-def test_a_directive_for_a_gate_that_is_not_there_is_reported_as_wrong(tmp_path):
-    absent = (
-        f'{{"size": "{"small" if OTHER.size == "big" else "big"}", "color": "{OTHER.color}", "shape": "{OTHER.shape}"}}'
-    )
-    (stage,) = flown(Script(replies=[(200, chat(absent))]), tmp_path)[0].stages
-    assert stage.reasoner.gate is False
-    assert stage.reasoner.answers >= 3
-
-
 @pytest.mark.parametrize(
     ("models", "says"),
     [((401, b"no"), "requires a key"), ((200, b'{"data": [{"id": "eye-3b"}]}'), "eye-3b")],
@@ -92,16 +81,6 @@ def test_a_directive_for_a_gate_that_is_not_there_is_reported_as_wrong(tmp_path)
 def test_a_wrong_key_or_model_stops_before_take_off(models, says, tmp_path):
     with pytest.raises(PolicyError, match=says):
         flown(Script(models=models), tmp_path / "run")
-    assert not (tmp_path / "run").exists()
-
-
-def test_a_server_that_is_down_stops_before_take_off(tmp_path):
-    pytest.importorskip("httpx")
-    config = Plan.of(
-        policy="hover", reasoner="vlm:http://127.0.0.1:9/v1,model=eye-7b", suite="open-v1:smoke", out=tmp_path / "run"
-    )
-    with pytest.raises(PolicyError, match=r"127\.0\.0\.1:9"):
-        run(config, progress=False)
     assert not (tmp_path / "run").exists()
 
 

@@ -1,14 +1,20 @@
+"""Runs beside each other, beside the paper's, and beside policies that do not see or do not read."""
+
+import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import benchmark_fakes
 import pytest
 from benchmark_fakes import text_of
 
+from cognitivedrone import evaluate
 from cognitivedrone.benchmark.config import Plan
 from cognitivedrone.benchmark.reports.tables import comparison_table, results_table
 from cognitivedrone.benchmark.runs.runner import run
-from cognitivedrone.benchmark.scores.comparison import Paired, compare
+from cognitivedrone.benchmark.scores.comparison import Paired, compare, suspicions
+from cognitivedrone.benchmark.scores.published import PUBLISHED, comparable
 from cognitivedrone.benchmark.scores.results import read_results, write_results
 from cognitivedrone.errors import RunError
 
@@ -178,3 +184,79 @@ def test_a_suite_like_the_papers_is_told_beside_it(results):
     like = replace(results.run, suite=replace(results.run.suite, name="open-v1:test"))
     assert "2503.01378" in text_of(results_table(replace(results, run=like)))
     assert "2503.01378" not in text_of(results_table(results))
+
+
+ROOT = Path(__file__).parents[3]
+SYSTEMS = {score.name: score for score in PUBLISHED}
+
+
+def percent(rate):
+    return f"{100 * rate:.1f}"
+
+
+def test_the_numbers_are_the_papers():
+    table = {
+        "CognitiveDrone": (59.6, {"reasoning": 70.7, "human_recognition": 45.2, "symbol_understanding": 57.7}),
+        "CognitiveDrone-R1": (77.2, {"reasoning": 75.9, "human_recognition": 76.8, "symbol_understanding": 78.9}),
+        "RaceVLA": (31.3, {"reasoning": 36.2, "human_recognition": 23.1, "symbol_understanding": 34.6}),
+    }
+    assert {
+        name: (100 * s.overall, {category: 100 * rate for category, rate in s.categories.items()})
+        for name, s in SYSTEMS.items()
+    } == {name: (pytest.approx(overall), pytest.approx(parts)) for name, (overall, parts) in table.items()}
+
+
+def test_the_page_of_r1_has_the_papers_numbers_in_the_order_of_its_sentence():
+    page = (ROOT / "docs" / "r1.md").read_text().replace("\n", " ")
+    order = ("human_recognition", "symbol_understanding", "reasoning")
+    numbers = [percent(SYSTEMS["CognitiveDrone-R1"].categories[category]) for category in order]  # type: ignore[index]
+    output = "{}, {} and {} %".format(*numbers)
+    assert re.search(rf"The paper's R1 passes {output} of human recognition, symbol understanding and reasoning", page)
+
+
+def test_only_shipped_suites_with_all_categories_are_compared(config):
+    results = run(config.changed(suite="open-v1:test"), progress=False, runner=benchmark_fakes.FakeRunner)
+    likes, others = ("test", "hard", "unseen"), ("smoke", "race", "track", "train")
+    assert all(comparable(f"open-v1:{name}", results.summary()) for name in likes)
+    assert not any(comparable(name, results.summary()) for name in ("own.json", *(f"open-v1:{o}" for o in others)))
+    some = tuple(e for e in results.episodes if e.stages[0].category != "reasoning")
+    assert not comparable("open-v1:test", replace(results, episodes=some).summary())
+
+
+def test_a_policy_that_gives_the_same_answer_whatever_it_sees_is_named(tmp_path):
+    evaluation = evaluate("user_pilots:Constant", episodes=2, workers=0, out=tmp_path / "run", clips=0, progress=False)
+    (warning,) = suspicions(evaluation.results)
+    assert "the same answer (0, 0, 1.5, 0) for all images and sentences, in every flight" in warning
+    assert "warning: the policy gave the same answer" in " ".join(evaluation.table().split())
+    document = json.loads((tmp_path / "run" / "results.json").read_text())
+    assert [episode["repeated"] for episode in document["episodes"]] == [[0.0, 0.0, 1.5, 0.0]] * 2
+    assert list(suspicions(read_results(tmp_path / "run"))) == [warning]
+
+
+@pytest.mark.parametrize(
+    ("policy", "episodes", "says"),
+    [
+        ("user_pilots:Constant:rows=7", 1, "in every flight"),  # a chunk that is repeated
+        ("user_pilots:PerFlight", 2, "throughout each flight"),
+    ],
+)
+def test_an_answer_that_differs_in_nothing_or_between_flights_alone_is_named(policy, episodes, says):
+    evaluation = evaluate(policy, episodes=episodes, workers=0, progress=False)
+    assert says in next(iter(suspicions(evaluation.results)))
+
+
+def test_a_policy_that_flies_at_one_gate_whatever_it_reads_is_named_and_one_that_reads_is_not(tmp_path):
+    plan = Plan.of(policy="fake", suite="open-v1:test", episodes=12, workers=0, clips=0, out=tmp_path / "run")
+    results = run(plan, progress=False, runner=benchmark_fakes.FakeRunner)
+
+    def flown_at(gate):
+        """The results, had every flight gone to that gate, or to the right one."""
+        stages = [replace(each.stages[0], outcome="collision", chosen=gate) for each in results.episodes]
+        stages = [replace(stage, chosen=stage.target) if gate is None else stage for stage in stages]
+        episodes = zip(results.episodes, stages, strict=True)
+        return replace(results, episodes=tuple(replace(each, stages=(stage,)) for each, stage in episodes))
+
+    (warning,) = suspicions(flown_at(1))
+    assert "12 of 12 flights went to gate 2, which " in warning
+    assert "seems not to follow the instruction" in warning
+    assert list(suspicions(flown_at(None))) == []
