@@ -129,7 +129,6 @@ def layout(**second):
     ("change", "message"),
     [
         ({"correct": 0}, "correct is 0; it must be 1, 2 or 3"),
-        ({"correct": "1"}, "correct is '1'"),
         ({"correct": True}, "correct is True"),
         ({"correct": 10**100}, r"correct is 1000\d{36}; it must be 1, 2 or 3"),
         ({"layout": layout(y=-float("inf"))}, "y of gate 2 is -inf; it must be from -7 to 7"),
@@ -151,7 +150,6 @@ def layout(**second):
         ),
         ({"options": ["nine.dae", "six.dae", "six.dae"]}, "options 2 and 3 are both 'six.dae'; give each gate"),
         ({"options": ["nine.dae", "six.dae"]}, "options must be a list of 3 names, one a gate, not 2 entries"),
-        ({"options": "nine.dae"}, "not str"),
         ({"options": ["nine.dae", 3, "six.dae"]}, "an entry of options must be a string, not int"),
         ({"labels": ["number/9@inter", "number/9@lora", "number/7@lora"]}, "two right answers"),
         ({"prompt": 7}, "prompt must be a string"),
@@ -163,10 +161,8 @@ def layout(**second):
         ({"family": {}}, "family must be a string"),
         ({"task": {"d1": 1}}, "task must have d1, operator and d2"),
         ({"task": {"d1": "1", "operator": "/", "d2": "2"}}, "the sum on the board reads '1/2'"),
-        ({"gates": {"1": GATES["1"], "2": GATES["2"]}}, "gates must describe gate 1, 2 and 3"),
         ({"gates": [{"gate": "1", **GATES["1"]}] * 3}, "gates must describe gate 1, 2 and 3"),
         ({"gates": GATES | {"2": {"size": "big"}}}, "gate 2 needs 'shape'"),
-        ({"gates": GATES | {"2": 3}}, "gate 2 needs 'size'"),
         ({"gates": GATES | {"2": GATES["2"] | {"size": "bgi"}}}, "unknown size of gate 2 'bgi'; did you mean 'big'"),
         (
             {"gates": GATES | {"2": GATES["2"] | {"shape": "hexagon"}}},

@@ -1,5 +1,6 @@
-"""The table of facts: complete, closed, and every claim can be asked for."""
+"""The table of facts: complete, closed, never against the facts of the suites, and every claim can be asked for."""
 
+import csv
 import subprocess
 import sys
 from pathlib import Path
@@ -274,3 +275,47 @@ def test_malformed_facts_of_their_own_are_rejected(tmp_path: Path, text: str, sa
     with pytest.raises(TaskError, match=said) as error:
         own(tmp_path, text, (*MINE, "people/fox", "pets/fox"))
     assert "\n" not in str(error.value)
+
+
+with (Path(__file__).parent / "sentences" / "same_facts.csv").open(encoding="utf-8") as file:
+    SAME = {phrase: (name, value) for phrase, name, value in csv.reader(file)}
+"""First phrase of a fact of the suites: the property and value that mean the same in the table."""
+CLASSES = {
+    "bird": ("class", "bird"), "mammal": ("class", "mammal"), "insect": ("class", "insect"),
+    "reptile": ("class", "reptile"), "fish": ("class", "fish"), "fruit": ("group", "fruit"),
+    "vegetable": ("group", "vegetable"), "drink": ("group", "drink"), "dessert": ("group", "sweet"),
+    "meat": ("group", "meat"), "dish": ("group", "ready meal"), "pastry": ("group", "baked goods"),
+    "tool": ("category", "tool"), "furniture": ("category", "furniture"), "clothing": ("category", "clothing"),
+    "vehicle": ("category", "vehicle"), "instrument": ("category", "musical instrument"),
+    "ball": ("category", "ball"), "flower": ("category", "flower"),
+}  # fmt: skip
+
+
+def things(names: tuple[str, ...]) -> set[str]:
+    return {f"{facts.KIND_OF[name]}/{name}" for name in names}
+
+
+@pytest.mark.parametrize("fact", facts.FACTS, ids=lambda fact: fact.phrases[0])
+def test_no_fact_of_the_suites_is_contradicted(fact: facts.Fact) -> None:
+    if fact.phrases[0] not in SAME:
+        pytest.skip("the table has no single value that means this")
+    meant = claim(*SAME[fact.phrases[0]])
+    assert not things(fact.true) & meant.false
+    assert not things(fact.false) & meant.true
+
+
+def test_most_facts_of_the_suites_are_compared() -> None:
+    assert {fact.phrases[0] for fact in facts.FACTS} >= SAME.keys()
+    assert len(SAME) >= 0.85 * len(facts.FACTS)
+
+
+@pytest.mark.parametrize("group", facts.GROUPS)
+def test_no_group_is_contradicted(group: str) -> None:
+    assert not things(tuple(facts.GROUPS[group])) & claim(*CLASSES[group]).false
+
+
+def test_healthy_and_unhealthy_food_agree() -> None:
+    for names, value in ((facts.HEALTHY, "healthy"), (facts.UNHEALTHY, "unhealthy")):
+        assert not things(names) & claim("healthy", value).false
+    assert not things(facts.HEALTHY) & claim("healthy", "unhealthy").true
+    assert not things(facts.UNHEALTHY) & claim("healthy", "healthy").true

@@ -35,10 +35,10 @@ def typed(name):
     ],
 )  # fmt: skip
 def test_a_mission_is_cut_into_its_parts_in_their_order(sentence, goals):
-    found = sub_goals(sentence)
-    assert [goal.instruction for goal in found] == goals
-    assert [goal.kind for goal in found] == ["land" if goal.startswith("Land") else "fly" for goal in goals]
-    assert read(sentence).problem == ""
+    found = read(sentence)
+    assert [goal.instruction for goal in found.goals] == goals
+    assert [goal.kind for goal in found.goals] == ["land" if goal.startswith("Land") else "fly" for goal in goals]
+    assert found.problem == ""
 
 
 @pytest.mark.parametrize(("sentence", "kinds"), typed("missions"))
@@ -61,7 +61,7 @@ def test_steps_of_a_calculation_or_a_story_are_no_mission(sentence):
 )  # fmt: skip
 def test_a_long_sentence_of_anything_is_cut_or_left_alone(part):
     """Patterns whose time grows faster than the sentence would not come to an end here."""
-    for length in (1_900, 20_000):
+    for length in (1_000, 20_000):
         goals = sub_goals(part * (length // len(part)))
         assert len(goals) >= 1
         assert all(goal.kind == "fly" for goal in goals)
@@ -175,9 +175,13 @@ def test_a_landing_is_written_and_read_and_stands_alone():
 def test_the_suite_has_typed_and_generated_missions_each_with_one_sentence():
     suite = load_suite(MISSIONS)
     assert len(suite.tracks) == 150
+    refused = []
     for number, track in enumerate(suite.tracks):
         (sentence,) = {task.mission for task in track}
         assert 2 <= len(track) <= 4
         assert [task.landing for task in track[:-1]] == [False] * (len(track) - 1)
+        found = read(sentence)
+        refused += [sentence] if found.problem else []
         if number < 100:
-            assert [goal.instruction for goal in sub_goals(sentence)] == [task.instruction for task in track]
+            assert [goal.instruction for goal in found.goals] == [task.instruction for task in track]
+    assert len(refused) <= 3  # what nobody could be sure of
