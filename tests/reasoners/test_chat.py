@@ -73,24 +73,20 @@ def test_a_server_that_says_when_to_come_again_is_obeyed_within_a_limit(monkeypa
         reasoner.close()
 
 
-def test_an_error_in_an_answer_of_200_is_no_answer():
-    script = Script(replies=[(200, error("the model is overloaded"))])
-    with serving(script) as url:
+@pytest.mark.parametrize(
+    ("status", "before", "advice"),
+    [
+        (200, "", "the model is overloaded"),
+        (400, "This model cannot read your messages. " * 4, "use a model with vision, such as eye-7b-vision"),
+    ],
+)
+def test_an_error_is_no_answer_also_with_status_200_and_the_advice_at_its_end_is_quoted(status, before, advice):
+    with serving(Script(replies=[(status, error(before + advice))])) as url:
         reasoner = make_reasoner(f"vlm:{url},model=eye-7b,timeout=60")
-        with pytest.warns(RuntimeWarning), pytest.raises(ReasonerError, match="the model is overloaded") as caught:
+        with pytest.warns(RuntimeWarning), pytest.raises(ReasonerError, match=advice) as caught:
             reasoner.refine(FRAME, "the dog")
         reasoner.close()
     assert caught.value.kind == "http"
-
-
-def test_the_advice_at_the_end_of_an_error_is_quoted():
-    advice = "use a model with vision, such as eye-7b-vision"
-    script = Script(replies=[(400, error("This model cannot read the content of your messages. " * 3 + advice))])
-    with serving(script) as url:
-        reasoner = make_reasoner(f"vlm:{url},model=eye-7b,timeout=60")
-        with pytest.warns(RuntimeWarning), pytest.raises(ReasonerError, match=advice):
-            reasoner.refine(FRAME, "the dog")
-        reasoner.close()
 
 
 def test_an_address_without_v1_is_told_before_take_off():

@@ -1,6 +1,7 @@
 """Replies in the styles of thinking models, cut off or whole: none may steer to a gate that it does not name.
 
-The right gate is the small blue square one, whatever else the model considers. Replies come from a real HTTP server.
+The right gate is the small blue square one, whatever else the model considers. What a server says beside the text comes
+from a real HTTP server.
 """
 
 import numpy as np
@@ -93,11 +94,7 @@ REPLIES = {
 
 def reply(content, finish_reason="stop", **message):
     body = chat(content, **message)
-    return body.replace(b'"finish_reason": "stop"', b'"finish_reason": ' + json_of(finish_reason))
-
-
-def json_of(text):
-    return b"null" if text is None else f'"{text}"'.encode()
+    return body.replace(b'"finish_reason": "stop"', f'"finish_reason": "{finish_reason}"'.encode())
 
 
 @pytest.fixture
@@ -116,15 +113,13 @@ def asked(no_vlm_settings):
         reasoner.close()
 
 
-@pytest.mark.filterwarnings("ignore:reasoner vlm:RuntimeWarning")
 @pytest.mark.parametrize(("content", "finish_reason", "wanted"), REPLIES.values(), ids=REPLIES)
-def test_a_reply_steers_to_the_gate_that_it_names_or_not_at_all(asked, content, finish_reason, wanted):
-    ask, _ = asked
+def test_a_reply_steers_to_the_gate_that_it_names_or_not_at_all(content, finish_reason, wanted):
     if wanted == "right":
-        assert ask(reply(content, finish_reason)) in RIGHT
+        assert read_reply(content, finish_reason).directive in RIGHT
         return
     with pytest.raises(ReasonerError) as caught:
-        ask(reply(content, finish_reason))
+        read_reply(content, finish_reason)
     assert wanted in ("fault", caught.value.kind)
     if wanted == "unfinished":
         assert "tokens=N" in str(caught.value)

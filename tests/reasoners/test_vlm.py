@@ -79,11 +79,6 @@ def test_what_is_asked_and_what_comes_back(script, make, monkeypatch):
     assert "{instruction}" not in text["text"]
 
 
-def test_without_a_key_none_is_sent(script, make):
-    make().refine(FRAME, INSTRUCTION)
-    assert script.keys == [None]
-
-
 def test_the_key_is_neither_shown_nor_repeated(script, make, monkeypatch):
     monkeypatch.setenv("COGNITIVEDRONE_VLM_KEY", KEY)
     script.replies = [(400, f'{{"error": "you said {KEY}"}}'.encode())]
@@ -237,10 +232,17 @@ def test_the_check_names_the_models_that_there_are(url):
     reasoner.close()
 
 
-@pytest.mark.parametrize(("key", "expected"), [("wrong", "rejects the key"), ("", "requires a key")])
-def test_the_check_knows_a_wrong_key(script, make, monkeypatch, key, expected):
+@pytest.mark.parametrize(
+    ("key", "answer", "expected"),
+    [
+        ("wrong", (401, b'{"error": "bad key"}'), "rejects the key"),
+        ("", (401, b'{"error": "bad key"}'), "requires a key"),
+        ("", (500, b"out of memory"), r"500.*out of memory"),
+    ],
+)
+def test_the_check_knows_a_wrong_key_and_a_server_in_trouble(script, make, monkeypatch, key, answer, expected):
     monkeypatch.setenv("COGNITIVEDRONE_VLM_KEY", key)
-    script.models = (401, b'{"error": "bad key"}')
+    script.models = answer
     with pytest.raises(PolicyError, match=expected):
         make().check()
 
@@ -248,12 +250,6 @@ def test_the_check_knows_a_wrong_key(script, make, monkeypatch, key, expected):
 def test_the_check_says_how_to_start_a_server(make):
     with pytest.raises(PolicyError, match="vllm serve eye-7b"):
         make(where=f"http://127.0.0.1:{free_port()}/v1").check()
-
-
-def test_the_check_does_not_pass_a_server_in_trouble(script, make):
-    script.models = (500, b"out of memory")
-    with pytest.raises(PolicyError, match=r"500.*out of memory"):
-        make().check()
 
 
 @pytest.mark.parametrize(

@@ -18,14 +18,8 @@ transformers = pytest.importorskip("transformers")
 tokenizers = pytest.importorskip("tokenizers")
 
 SPECIAL = [
-    "<|endoftext|>",
-    "<|im_start|>",
-    "<|im_end|>",
-    "<|vision_start|>",
-    "<|vision_end|>",
-    IMAGE_TOKEN,
-    "<|video_pad|>",
-]
+    "<|endoftext|>", "<|im_start|>", "<|im_end|>", "<|vision_start|>", "<|vision_end|>", IMAGE_TOKEN, "<|video_pad|>",
+]  # fmt: skip
 TEXT = {
     "hidden_size": 32,
     "intermediate_size": 48,
@@ -123,10 +117,13 @@ def test_the_image_reaches_the_model(reasoner):
     assert (logits[0] - logits[1]).abs().max() > 1e-5
 
 
-def test_the_prompt_holds_the_instruction(reasoner):
+def test_the_prompt_holds_the_instruction_after_the_image_as_in_vlm(reasoner):
     text = reasoner._tokenizer.decode(reasoner.inputs(frame(0), "Fly to the SNOW leopard")["input_ids"][0])
-    assert "Fly to the SNOW leopard" in text
-    assert '"color"' in text
+    before, after = text.split("<|vision_start|>")
+    assert before.endswith("<|im_start|>user\n")
+    assert after.split("<|vision_end|>")[1].startswith("You see the view from a drone.")
+    assert "Fly to the SNOW leopard" in after
+    assert '"color"' in after
     assert text.endswith("<|im_end|>\n<|im_start|>assistant\n")
 
 
@@ -226,10 +223,3 @@ def test_answers_of_the_schema_are_whole(folder):
         text, end = reasoner.answer(frame(seed), f"Fly through gate {seed}")
         assert text in answers()
         assert end == "stop"
-
-
-def test_the_image_comes_before_the_prompt_as_in_vlm(reasoner):
-    text = reasoner._tokenizer.decode(reasoner.inputs(frame(0), "Fly to 7")["input_ids"][0])
-    before, after = text.split("<|vision_start|>")
-    assert before.endswith("<|im_start|>user\n")
-    assert after.split("<|vision_end|>")[1].startswith("You see the view from a drone.")

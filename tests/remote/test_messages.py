@@ -126,13 +126,10 @@ def test_another_version_and_another_session_are_refused():
 @pytest.mark.parametrize(
     "error",
     [
-        PolicyError("no"),
-        ActionError("no"),
-        NonFiniteAction("no"),
-        ReasonerError("unsure", "no"),
+        PolicyError("no"), ActionError("no"), NonFiniteAction("no"), ReasonerError("unsure", "no"),
         ReasonerError("unsure", "no", certainty=0.75),
     ],
-)
+)  # fmt: skip
 def test_a_policys_error_is_raised_as_what_it_was(error):
     reported = {"fault": getattr(error, "kind", None), "certainty": getattr(error, "certainty", None)}
     frame = error_frame(code_of(error), str(error), **reported)

@@ -8,23 +8,12 @@ from beartype import beartype
 from jaxtyping import AbstractArray, config, install_import_hook
 
 CHECKED: tuple[str, ...] = (
-    "types",
-    "frames",
-    "sim.drawing.camera",
-    "sim.simulator",
-    "sim.drawing.views",
-    "envs.worlds",
-    "control.loop",
-)
+    "types", "frames", "sim.drawing.camera", "sim.simulator", "sim.drawing.views", "envs.worlds", "control.loop",
+)  # fmt: skip
 CHECKED += (
-    "models.small_file",
-    "models.eyes.sight",
-    "models.mind",
-    "models.openvla.actions",
-    "policies.small",
-    "policies.openvla",
-    "data.episode",
-)
+    "models.small_file", "models.eyes.sight", "models.mind", "models.openvla.actions", "policies.small",
+    "policies.openvla", "data.episode",
+)  # fmt: skip
 """Where arrays pass from one part to another. The arithmetic of one tick is left out: it is called too often."""
 
 
