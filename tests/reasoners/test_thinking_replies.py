@@ -156,6 +156,13 @@ def test_an_answer_that_cannot_be_read_is_asked_for_again_in_english(asked, firs
     assert again["response_format"] == once["response_format"]
 
 
+def test_a_reply_that_was_cut_off_is_not_asked_for_again(asked):
+    ask, script = asked
+    with pytest.warns(RuntimeWarning), pytest.raises(ReasonerError, match=r"tokens=N.*thinking=no"):
+        ask(reply(LONGER, "length"))
+    assert len(script.bodies) == 1
+
+
 @pytest.mark.parametrize(
     ("more", "tokens", "template"),
     [("", 40, None), (",tokens=300", 300, None), (",thinking=no", 40, {"enable_thinking": False}),
