@@ -77,15 +77,11 @@ def test_nothing_is_declined_while_the_policy_is_surer_that_it_is_there():
     assert heard(directive_filter, (HOLD, 0.85)) == ["agreed"]
 
 
-@pytest.mark.parametrize(("present", "absent", "declined"), [(1.0, 1.0, True), (1.0, 0.9, False), (0.0, 0.0, False)])
-def test_certainties_are_weighed_too(present, absent, declined):
+@pytest.mark.parametrize(
+    ("present", "absent", "declined"),
+    [(1.0, 1.0, True), (1.0, 0.9, False), (0.0, 0.0, False), (None, 1.0, True), (math.nan, 1.0, True)],
+)
+def test_certainties_are_weighed_and_a_policy_without_an_opinion_keeps_nobody_from_declining(present, absent, declined):
     directive_filter = DirectiveFilter()
     directive_filter.policy_says(present)
     assert (heard(directive_filter, *[(HOLD, absent)] * 3)[-1] == "adopted") == declined
-
-
-@pytest.mark.parametrize("present", [None, math.nan])
-def test_a_policy_without_an_opinion_keeps_nobody_from_declining(present):
-    directive_filter = DirectiveFilter()
-    directive_filter.policy_says(present)
-    assert heard(directive_filter, *[(HOLD, 1.0)] * 3)[-1] == "adopted"
