@@ -45,12 +45,6 @@ def test_the_command_names_no_folder_of_this_machine() -> None:
     assert command_line(words) == "python benchmarks/x.py --arducopter path/to/arducopter --log=path/to/x runs/a"
 
 
-def test_nothing_is_written_without_a_path(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    keep(None, "Gates", ROWS)
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_run_tells_machine_commit_and_day(tmp_path: Path) -> None:
     facts = {"processor": "a chip", "cores": "3", "commit": "none"}
     made = measurement("Gates", "bench", ROWS, facts=facts, finished="2026-03-04T05:06:07+00:00")

@@ -11,7 +11,7 @@ import pytest
 import reason_fakes
 
 from cognitivedrone.benchmark.config import Plan
-from cognitivedrone.benchmark.reasoning.reason import ReasonPlan, ReasonResults, out_of, score_reasoner, views
+from cognitivedrone.benchmark.reasoning.reason import ReasonPlan, ReasonResults, score_reasoner, views
 from cognitivedrone.benchmark.reasoning.reason_scoring import calibration_error, judge, summarize_answers
 from cognitivedrone.benchmark.reasoning.reason_table import reason_table
 from cognitivedrone.benchmark.runs.episode import PilotRunner
@@ -239,12 +239,6 @@ def test_confidences_that_mean_what_they_say_have_no_calibration_error():
 def test_what_cannot_be_asked_is_reported(config, change, error, message):
     with pytest.raises(error, match=message):
         asked(config.changed(**change))
-
-
-def test_the_folder_is_named_after_suite_and_reasoner():
-    assert out_of(ReasonPlan.of(reasoner="noisy-oracle:0.5,each", track=True)) == Path(
-        "results/reason-open-v1-test-noisy-oracle-0.5-each-track"
-    )
 
 
 def test_the_reasoner_of_the_docs_answers(config, tmp_path, monkeypatch):

@@ -71,12 +71,6 @@ def test_a_killed_shard_is_resumed_as_that_shard(config):
     assert run(config.changed(shard="3/3", out=out, resume=True), progress=False, runner=RUNNER).timing.workers == 1
 
 
-def test_tracebacks_of_all_shards_are_kept(config, tmp_path):
-    parts = [fly(config, f"{number}/2", benchmark_fakes.RaisingRunner) for number in (1, 2)]
-    merge(parts, tmp_path / "merged")
-    assert [file.name for file in (tmp_path / "merged" / "errors").iterdir()] == ["episode-0005.txt"]
-
-
 def test_tasks_of_a_file_merge_without_it(config, tmp_path):
     write_tasks(tmp_path / "mine.json", [track[0] for track in load_suite("open-v1:train", size=6).tracks])
     config = config.changed(tasks=tmp_path / "mine.json", episodes=None)
