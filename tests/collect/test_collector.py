@@ -8,6 +8,7 @@ import sys
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from cognitivedrone.errors import DataError, MissingExtra, PolicyError, TaskErro
 from cognitivedrone.plan import TaskSource
 from cognitivedrone.rollout.pool import WorkerLost
 from cognitivedrone.rollout.process_pool import ProcessPool
+from cognitivedrone.rollout.ray_pool import RayPool
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.tasks.format import write_tasks
 
@@ -128,8 +130,9 @@ def test_ctrl_c_and_a_dead_worker_keep_every_finished_episode(flown, tmp_path, m
 
 def test_progress_counts_episodes_while_a_shard_is_under_way(tmp_path, monkeypatch):
     seen = []
+    monkeypatch.setattr(collector, "pool_of", flying(forwards))
     monkeypatch.setattr(collector, "_advance", lambda bar, line, gathered, begin: seen.append(gathered.there))
-    collect(config(tmp_path / "set", episodes=4, episodes_per_shard=64, workers=1), progress=False)
+    collect(config(tmp_path / "set", episodes=4, episodes_per_shard=64), progress=False)
     assert seen == [1, 2, 3, 4]
 
 
@@ -162,7 +165,6 @@ def test_a_place_that_cannot_be_written_is_reported_in_one_sentence(tmp_path, pl
         ({"workers": 0}, UsageError, "--workers is 0"),
         ({"suite": "open-v2:words"}, DataError, "is only for testing"),
         ({"beta": 0.5}, DataError, "give a --policy"),
-        ({"beta": 1.5, "policy": "hover"}, UsageError, "--beta is 1.5; it must be from 0 to 1"),
         ({"policy": "hovr"}, PolicyError, "did you mean 'hover'"),
         ({"policy": "small:no/such.onnx"}, PolicyError, "no model file no/such.onnx"),
         ({"executor": "rai"}, DataError, "unknown executor"),
@@ -223,3 +225,29 @@ def test_the_stages_of_a_mission_are_collected_as_tasks_of_their_own_and_a_landi
     landing = list(Store.open(tmp_path / "set").episodes())[1]
     assert landing.task.landing
     assert landing.final_position[2] < 0.2
+
+
+@pytest.mark.filterwarnings("ignore")  # Ray's own
+def test_a_cluster_makes_the_same_bytes_as_local_workers(tmp_path):
+    ray = pytest.importorskip("ray", reason="the extra 'ray' is not installed")
+    from ray.cluster_utils import Cluster
+
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+    try:
+        cluster.add_node(num_cpus=1)
+        ray.init(address=cluster.address, log_to_driver=False)
+        assert len([node for node in ray.nodes() if node["Alive"]]) == 2
+        folders: dict[Any, Path] = {name: tmp_path / name for name in ("ray", "local")}
+        for executor, out in folders.items():
+            collect(
+                CollectPlan.of(out=out, recipe="debug", episodes=8, workers=2, episodes_per_shard=2, executor=executor),
+                progress=False,
+            )
+        nowhere = Job(TaskSource("open-v1:nowhere"), RECIPES["debug"], 5)
+        with pytest.raises(TaskError, match="nowhere"), RayPool(nowhere, 1, 1):
+            pass
+    finally:
+        ray.shutdown()
+        cluster.shutdown()
+    assert len(digests(folders["ray"])) >= 4 + 4 + 2
+    assert digests(folders["ray"]) == digests(folders["local"])

@@ -54,11 +54,6 @@ def test_every_task_is_passed_once_in_order_and_all_families_alike(clean):
     assert {families.count(family) for family in BASE_FAMILIES} == {1}
 
 
-def test_an_episode_does_not_depend_on_its_company(clean):
-    (alone,) = fly(RECIPES["paper"], [7], 1)
-    assert_same(alone, clean[7])
-
-
 def test_a_disturbed_episode_does_not_depend_on_its_company(disturbed):
     (alone,) = fly(ROBUST, [3], 1)
     assert_same(alone, disturbed[3])
