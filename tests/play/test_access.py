@@ -1,22 +1,28 @@
-"""Who reaches the page, and how: beside other programs of the host, behind a proxy, through a tunnel, over ssh."""
+"""Who reaches the page, and how: beside other programs, behind a proxy, through a tunnel, over ssh; what it is told."""
 
 import contextlib
 import io
 import threading
 import webbrowser
+from dataclasses import replace
 from urllib.parse import urlsplit
 
+import numpy as np
 import PIL.Image
 import pytest
 from tests.play.test_page import PAGE, Recorded, ask, live, port_of
 
 from cognitivedrone.cli import main
 from cognitivedrone.errors import TaskError
+from cognitivedrone.film.frame import Scene
 from cognitivedrone.play import app as play_app
 from cognitivedrone.play.app import Replay
+from cognitivedrone.play.board import scene_table
 from cognitivedrone.play.config import PageSpec, PlayPlan
 from cognitivedrone.play.server import Channels, serving_page
 from cognitivedrone.play.studio import Studio
+from cognitivedrone.sim.simulator import Scenery
+from cognitivedrone.types import Gate, GatePlace, Stage
 
 TOKEN = "a&token;of=16+/%"  # noqa: S105
 
@@ -124,3 +130,23 @@ def test_the_printed_address_opens_the_page_also_from_a_file(monkeypatch, capsys
     with contextlib.suppress(SystemExit):
         main(["play"])
     assert "http://127.0.0.1:8090/?token=abc" in capsys.readouterr().out
+
+
+GATES = (Gate("big", "round", "red"), Gate("small", "square", "green"), Gate("big", "triangle", "blue"))
+
+
+@pytest.mark.parametrize(("left_out", "numbers"), [({}, [1, 2, 3]), ({"missing": 0}, [2, 3]), ({"only": 1}, [2])])
+def test_gates_keep_their_numbers_where_others_are_missing(left_out, numbers):
+    scene = Scene(
+        Stage(GATES, ("",) * 3, **left_out), Scenery((np.zeros((8, 8, 3), np.uint8),) * 3), ("cat", "dog", "owl")
+    )
+    shown = scene_table(scene)["gates"]
+    assert [gate["number"] for gate in shown] == numbers
+    assert [gate["color"] for gate in shown] == [GATES[number - 1].color for number in numbers]
+
+
+def test_the_way_of_a_gate_that_moves_is_shown():
+    places = [GatePlace(4.0, 4.0 - 4.0 * index, 0.9, 0.0) for index in range(3)]
+    stage = Stage(GATES, ("",) * 3, layout=(places[0], replace(places[1], sway=0.5), places[2]))
+    scene = Scene(stage, Scenery((np.zeros((8, 8, 3), np.uint8),) * 3), ("cat", "dog", "owl"))
+    assert [gate["way"] for gate in scene_table(scene)["gates"]] == [[], [[4.0, 1.025, 0.9], [4.0, -1.025, 0.9]], []]
