@@ -15,7 +15,6 @@ import pytest
 from signals import LIMIT_S, press, runs
 from waiting import soon
 
-from cognitivedrone.cli import main
 from cognitivedrone.errors import GazeboError
 from cognitivedrone.sim.drawing import gl
 from cognitivedrone.system.processes import SAFE_PATH, STARTER, end_with_parent, environment, starting
@@ -23,7 +22,6 @@ from cognitivedrone.vehicles.gazebo.bindings import ServiceProcess
 
 MODULES = ("json", "ctypes", "multiprocessing", "signal", "subprocess", "numpy", "cognitivedrone", "sitecustomize")
 MARK = "OWNED"
-SMOKE = ("--policy", "oracle", "--episodes", "1", "--workers", "1", "--out", "out")
 
 
 @pytest.fixture
@@ -72,8 +70,6 @@ STARTS: dict[str, Callable[[], object]] = {
     "the test of OpenGL": lambda: gl._probe(gl.backend().name),
     "the import of MuJoCo": _import_mujoco,
     "Gazebo's services": _services,
-    "bench": lambda: main(["bench", "--suite", "open-v1:smoke", "--clips", "0", *SMOKE]),
-    "collect": lambda: main(["collect", "--suite", "open-v1:smoke", *SMOKE]),
     "queues and processes": _shared,
     "what they start in turn": _grandchild,
 }
