@@ -100,7 +100,7 @@ def test_a_benchmark_in_one_process_ends_as_well(tmp_path, second):
     assert (code, output.splitlines()[-1]) == (130, "cognitivedrone: stopped at once")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGHUP])
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGHUP])
 def test_a_benchmark_with_workers_ends_in_order_at_the_first_signal_of_any_kind(tmp_path, number):
     with stuck(tmp_path, "InForeignCode", *BENCH, "--workers", "1") as (process, worker):
         press(process.pid, number)
@@ -178,15 +178,14 @@ def test_ctrl_c_while_a_module_is_loaded_is_no_traceback(tmp_path, module, error
     assert (done.returncode, done.stderr) == (130, "cognitivedrone: stopped\n")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_server_ends_in_order(tmp_path, number):
+def test_a_server_ends_in_order_at_ctrl_c(tmp_path):
     pytest.importorskip("uvicorn")
     words = ("serve", "--policy", "hover", "--port", "0")
     with started(tmp_path, "-m", "cognitivedrone", *words) as process:
         for line in process.stdout:
             if "ws://" in line:
                 break
-        press(process.pid, number)
+        press(process.pid)
         code, output = ending(process)
     assert (code, output.splitlines()[-1]) == (130, "cognitivedrone: stopped")
 
