@@ -70,7 +70,7 @@ def test_without_a_directive_the_seeker_flies_well_and_chooses_at_chance(tmp_pat
 
 
 def test_a_policy_of_ones_own_is_scored(tmp_path):
-    arguments = ("--suite", "open-v1:smoke", "--policy", "own_policy:Straight", "--episodes", 2, "--clips", 0)
+    arguments = ("--suite", "open-v1:smoke", "--policy", "own_policy:Straight", "--episodes", 1, "--clips", 0)
     straight = flown(tmp_path / "own", *arguments, PYTHONPATH=str(ROOT / "examples"))
     assert {stage.chosen for episode in straight.episodes for stage in episode.stages} <= {1, None}
 
@@ -89,14 +89,13 @@ def test_published_tasks_fly_with_their_own_pictures(tmp_path):
 def test_every_label_of_every_suite_can_be_drawn():
     pack, tasks = load_pack(), [task for name in SUITES for track in load_suite(name).tracks for task in track]
     references = {reference for task in tasks for reference in (*task.labels, task.board) if reference}
-    for reference in sorted(references)[::4]:
+    for reference in sorted(references)[::8]:
         assert pack.image(reference).shape == (256, 256, 3)
 
 
 def test_two_runs_are_compared(tmp_path):
-    arguments = ("--suite", "open-v1:smoke", "--policy", "colour_seeker", "--episodes", 1, "--clips", 0)
-    flown(tmp_path / "a", *arguments)
-    flown(tmp_path / "b", *arguments, "--reasoner", "oracle")
+    flown(tmp_path / "a", "--suite", "open-v1:smoke", "--policy", "oracle", "--episodes", 1, "--clips", 0)
+    shutil.copytree(tmp_path / "a", tmp_path / "b")
     assert "McNemar" in typed(["compare", "a", "b"], tmp_path)
 
 

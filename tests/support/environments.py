@@ -13,8 +13,6 @@ import pytest
 FOLDER = "COGNITIVEDRONE_TEST_ENVIRONMENTS"
 """Environment variable: where the environments are kept; by default in pytest's cache."""
 INSTALL_S = 300
-_REFUSED: dict[tuple[str, ...], str] = {}
-"""The package index is asked once, not by every test."""
 
 
 def python_with(config: pytest.Config, *packages: str) -> Path:
@@ -28,8 +26,6 @@ def python_with(config: pytest.Config, *packages: str) -> Path:
     if python.is_file():
         return python
     kept.mkdir(parents=True, exist_ok=True)
-    if packages in _REFUSED:
-        pytest.skip(_REFUSED[packages])
     part = Path(tempfile.mkdtemp(dir=kept))
     try:
         subprocess.run([sys.executable, "-m", "venv", "--copies", str(part)], check=True, capture_output=True)
@@ -43,6 +39,5 @@ def python_with(config: pytest.Config, *packages: str) -> Path:
     except (subprocess.SubprocessError, OSError) as error:
         shutil.rmtree(part, ignore_errors=True)
         last = (str(getattr(error, "stderr", "") or error).strip().splitlines() or [type(error).__name__])[-1]
-        _REFUSED[packages] = f"{' '.join(packages)} cannot be installed here: {last[:200]}"
-        pytest.skip(_REFUSED[packages])
+        pytest.skip(f"{' '.join(packages)} cannot be installed here: {last[:200]}")
     return python
