@@ -1,12 +1,17 @@
-"""`fly` with a mission: a scene for each sub-goal, flown one after another, and a landing."""
+"""`fly` as the benchmark scores it, and with a mission: a scene for each sub-goal, one after another, and a landing."""
 
 import io
+from contextlib import closing
 
+import numpy as np
 import pytest
 from app_fakes import events_of, flown, steps_of
 from rich.console import Console
 
 from cognitivedrone.apps.orders import Orders
+from cognitivedrone.benchmark.config import Plan
+from cognitivedrone.benchmark.runs.episode import PilotRunner
+from cognitivedrone.benchmark.runs.job import resolve
 from cognitivedrone.errors import NotUnderstood, ReasonerError
 from cognitivedrone.interfaces import Reasoner
 from cognitivedrone.pilot import Pilot
@@ -189,7 +194,6 @@ def test_of_a_condition_the_other_thing_is_flown_to_where_it_does_not_hold(tmp_p
 @pytest.mark.parametrize(
     ("sentence", "passed"),
     [
-        ("if there is a cat land on the red pad, otherwise on the blue pad", ["blue"]),
         ("the elephant, then land on red if there is a cat, otherwise green", ["elephant", "green"]),
         ("if there is a dog, first the cat then the bird, otherwise first the bus, then the owl", ["bus", "owl"]),
     ],
@@ -208,11 +212,9 @@ def test_what_was_seen_decides_over_the_pad_and_over_all_that_follows(tmp_path, 
     ("sentence", "flown"),
     [
         ("if there is a zebra fly to it, otherwise land", None),
-        ("if there is a zebra land, otherwise the crab", "crab"),
         ("wenn es einen Koala gibt, nimm die Krabbe, sonst den Schmetterling", "crab"),
         ("the animal, never through the koala", "crab butterfly"), ("an animal, never through square gates", "crab"),
-        ("anything but the crab", "koala butterfly"), ("an animal, never through the green square", "crab butterfly"),
-        ("a non-blue gate", "koala butterfly"),
+        ("anything but the crab", "koala butterfly"),
     ],
 )  # fmt: skip
 def test_in_a_given_scene_conditions_and_prohibitions_hold(tmp_path, sentence, flown):
@@ -229,3 +231,22 @@ def test_without_a_reasoner_nobody_keeps_to_a_condition(tmp_path):
     with pytest.raises(NotUnderstood, match="only a reasoner keeps to a condition"):
         flying("first the elephant, never through red", tmp_path / "out", reasoner="none")
     assert not (tmp_path / "out").exists()
+
+
+SURE, UNSURE = {"suite": "open-v1:smoke", "episode": 4}, {"suite": "open-v3:photos", "episode": 6}
+
+
+@pytest.mark.parametrize("scene", [SURE, UNSURE])
+def test_fly_and_bench_fly_the_same(tmp_path, scene):
+    options = {"suite": scene["suite"], "appearance": "plain", "reasoner": "small", "seed": 3}
+    with closing(PilotRunner(resolve(Plan.of(**options), named=False))) as runner:
+        scored = runner.fly(scene["episode"], film=False)
+    shown = flown(pace="lockstep", out=tmp_path / "f", episode=scene["episode"], time_limit=60.0, **options)
+    steps = steps_of(tmp_path / "f")
+    path = np.array([steps[axis] for axis in ("x_m", "y_m", "z_m")], np.float32).T
+    assert np.array_equal(path, scored.trace.path[: len(path)])
+    assert len(path) == len(scored.trace.path) - 1
+    assert [(end.outcome, end.chosen, end.time_s) for end in shown.results] == [
+        (end.outcome, end.chosen, end.time_s) for end in scored.result.stages
+    ]
+    assert any(event["kind"] == "hold" for event in events_of(tmp_path / "f")) == (scene is UNSURE)

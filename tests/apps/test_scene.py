@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 import os
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,17 @@ from PIL import Image
 from cognitivedrone.apps.config import FlyPlan, SimPlan
 from cognitivedrone.apps.orders import Orders
 from cognitivedrone.apps.understanding.scene import choose_scene
-from cognitivedrone.apps.vehicle import serve_vehicle
+from cognitivedrone.apps.vehicle import leading, serve_vehicle
 from cognitivedrone.cli import main
-from cognitivedrone.errors import LabelError, NotUnderstood, TaskError, UsageError
+from cognitivedrone.envs.track_runner import TrackConfig, TrackRunner
+from cognitivedrone.errors import LabelError, NotUnderstood, TaskError
 from cognitivedrone.film.movie import END_S, FPS, read_mp4
+from cognitivedrone.labels import load_pack
+from cognitivedrone.sim.simulator import Simulator
 from cognitivedrone.tasks import load_suite, write_tasks
 from cognitivedrone.types import CONTROL_HZ, Task
+from cognitivedrone.vehicles.mavlink.server.vehicle import SimulatedVehicle, VehicleConfig
+from cognitivedrone.world.geometry import gate_centers, gate_yaws
 
 EPISODE = 4
 """Of the smoke suite: the shortest flight."""
@@ -272,14 +278,6 @@ def test_on_a_vehicle_it_looks_closer_as_well(tmp_path):
     assert "hold" in events(tmp_path / "f")
 
 
-def test_never_looking_closer_is_an_option(tmp_path):
-    summary = flown(pace="lockstep", **DOUBTFUL, out=tmp_path / "f", time_limit=1.6, episode=0, look="no")
-    assert summary.ending.kind == "missed"
-    assert "hold" not in events(tmp_path / "f")
-    with pytest.raises(UsageError, match="--look is 'maybe'"):
-        FlyPlan.of(film=False, look="maybe")
-
-
 def test_a_flight_that_nobody_can_judge_says_so(tmp_path, capsys):
     words = ["Fly wherever you like", "--policy", "colour_seeker", "--reasoner", "oracle", "--episode", str(EPISODE)]
     with pytest.raises(SystemExit) as end:
@@ -315,3 +313,27 @@ def test_task_files_are_taken_in_place_of_a_suite_by_the_old_name_too(tmp_path):
     for options in ({"tasks": tmp_path / "mine.json"}, {"suite": str(tmp_path / "mine.json")}):
         scene = choose_scene(FlyPlan.of(film=False, **options))
         assert scene.track[0].instruction == SMOKE.tracks[7][0].instruction
+
+
+MISSION = load_suite("open-v3:missions").tracks[5]
+"""A gate, then a landing."""
+
+
+def test_it_leads_through_a_mission_and_judges_nothing_else():
+    simulator = Simulator(1, render=False)
+    runner = TrackRunner(simulator.world(0), load_pack(), TrackConfig(time_limit_s=math.inf))
+    runner.begin(MISSION, np.random.default_rng(0))
+    with SimulatedVehicle(simulator, VehicleConfig(links=("tcpin:127.0.0.1:0",)), leading(runner)) as vehicle:
+        vehicle.step(20)
+        assert runner.index == 0, "it stands on the floor, which ends no stage"
+        center, yaw = gate_centers(runner.stage)[2], float(gate_yaws(runner.stage)[2])
+        for before_m in (-0.3, 0.05):
+            assert runner.index == 0
+            simulator.flight.reset(0, center + before_m * np.array([math.cos(yaw), math.sin(yaw), 0.0]), yaw)
+            vehicle.step()
+        assert runner.index == 1
+        assert runner.stage.landing
+        vehicle.step(500)
+        assert vehicle.state().position[2] < 0.3
+    simulator.close()
+    assert not runner.finished, "the last stage goes on"
