@@ -1,4 +1,4 @@
-"""Films of flights, written and read back: what they show, how long, their page, and the panel of an older form."""
+"""Films of flights, written and read back: what they show, how long, and their page; and the panel above a clip."""
 
 import json
 from dataclasses import replace
