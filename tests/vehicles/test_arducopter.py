@@ -3,12 +3,12 @@
 import socket
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 from arducopters import script
+from waiting import soon
 
 from cognitivedrone.errors import LinkError
 from cognitivedrone.sim.airframe import IRIS, RACER
@@ -70,10 +70,7 @@ def test_what_cannot_be_started_is_reported(tmp_path):
     binary = tmp_path / "arducopter"
     binary.write_bytes(b"\x7fELF is not all")
     binary.chmod(0o755)
-    with (
-        pytest.raises(LinkError, match=r"arducopter.*Exec format error"),
-        ArduCopter(binary, tmp_path) as unfit,
-    ):
+    with pytest.raises(LinkError, match=r"arducopter.*Exec format error"), ArduCopter(binary, tmp_path) as unfit:
         unfit.connect(refuse)
     with pytest.raises(LinkError, match=r"no parameter file .*missing\.parm"):
         ArduCopter(binary, tmp_path, defaults=[tmp_path / "missing.parm"])
@@ -102,10 +99,7 @@ os.kill(os.getpid(), 9)
 """
     assert subprocess.run([sys.executable, "-c", killed]).returncode == -9
     process = Path("/proc", (tmp_path / "arducopter.log").read_text().strip(), "stat")
-    deadline = time.monotonic() + 60
-    while process.exists() and process.read_text().split()[2] != "Z":
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    soon(lambda: not process.exists() or process.read_text().split()[2] == "Z")
 
 
 def test_the_iris_has_arducopters_own_gains_and_others_as_much_as_they_answer_to():

@@ -91,25 +91,18 @@ def huge() -> bytes:
     return coded.getvalue()
 
 
-def test_a_huge_image_of_a_folder_is_refused_before_it_is_decoded(tmp_path, huge):
-    (tmp_path / "1.jpg").write_bytes(huge)
-    with pytest.raises(CameraError, match=r"1\.jpg has 12000x12000 pixels; at most 40 million are read"):
-        open_camera(str(tmp_path))
-
-
-@pytest.mark.parametrize("spoil", ["pipe", "sparse", "folder"])
-def test_what_is_no_image_file_in_a_folder_is_refused_at_once(tmp_path, spoil):
+def test_huge_images_pipes_and_sparse_files_in_a_folder_are_refused_before_they_are_read(tmp_path, huge):
     file = tmp_path / "1.png"
-    if spoil == "pipe":
-        os.mkfifo(file)
-    elif spoil == "folder":
-        file.mkdir()
-    else:
-        with file.open("wb") as opened:
-            opened.truncate(MAX_PICTURE_BYTES + 1)
-    with pytest.raises(
-        CameraError, match=rf"1\.png cannot be read: it (is a pipe|is a folder|has {MAX_PICTURE_BYTES + 1:,} bytes)"
-    ):
+    file.write_bytes(huge)
+    with pytest.raises(CameraError, match=r"1\.png has 12000x12000 pixels; at most 40 million are read"):
+        open_camera(str(tmp_path))
+    with file.open("wb") as opened:
+        opened.truncate(MAX_PICTURE_BYTES + 1)
+    with pytest.raises(CameraError, match=rf"1\.png cannot be read: it has {MAX_PICTURE_BYTES + 1:,} bytes"):
+        open_camera(str(tmp_path))
+    file.unlink()
+    os.mkfifo(file)
+    with pytest.raises(CameraError, match=r"1\.png cannot be read: it is a pipe"):
         open_camera(str(tmp_path))
 
 
@@ -135,8 +128,7 @@ def test_any_image_fits(height, width):
     image = np.zeros((height, width, 3), np.uint8)
     image[..., 1] = 200
     fitted = fit(image)
-    assert fitted.shape == (256, 256, 3)
-    assert fitted.dtype == np.uint8
+    assert (fitted.shape, fitted.dtype) == ((256, 256, 3), np.uint8)
     assert (fitted == [0, 200, 0]).all()
 
 
@@ -261,14 +253,13 @@ def test_a_video_is_shown_upright_and_cropped_after_it_is_turned(tmp_path, matri
     camera.close()
 
 
-@pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp"])
-def test_a_picture_in_a_folder_is_shown_upright(tmp_path, suffix):
+def test_a_picture_is_shown_upright_in_a_folder_and_as_a_video(tmp_path):
     exif = Pictures.Exif()
     exif[ExifTags.Base.Orientation] = 6
-    Pictures.fromarray(np.rot90(quarters(), 1)).save(tmp_path / f"a{suffix}", exif=exif)
+    Pictures.fromarray(np.rot90(quarters(), 1)).save(tmp_path / "a.jpg", exif=exif)
     assert order_of(open_camera(str(tmp_path)).read().image) == "rgbw"
-    if suffix == ".jpg":  # read as a video, by PyAV
-        assert order_of(open_camera(str(tmp_path / "a.jpg"), CameraConfig(at_end="loop")).read().image) == "rgbw"
+    # By PyAV.
+    assert order_of(open_camera(str(tmp_path / "a.jpg"), CameraConfig(at_end="loop")).read().image) == "rgbw"
 
 
 def frames_in_order(folder: Path) -> list[int]:
@@ -282,30 +273,12 @@ def frames_in_order(folder: Path) -> list[int]:
     return seen
 
 
-def test_frames_are_sorted_as_people_count(tmp_path):
+def test_frames_are_sorted_as_people_count_and_hidden_ones_are_none(tmp_path):
     for number in (0, 1, 2, 9, 10, 11, 100):
         Pictures.new("RGB", (64, 64), (number, 0, 0)).save(tmp_path / f"{'F' if number % 2 else 'f'}rame{number}.png")
+    (tmp_path / ".hidden.png").write_bytes((tmp_path / "Frame9.png").read_bytes())
+    (tmp_path / "._frame0.png").write_bytes(b"\0\5\x16\7")
     assert frames_in_order(tmp_path) == [0, 1, 2, 9, 10, 11, 100]
-
-
-def test_what_systems_leave_in_a_folder_is_no_frame(tmp_path):
-    write_folder(tmp_path, 2)
-    content = (tmp_path / "00.png").read_bytes()
-    for name in ("._00.png", ".hidden.png", ".DS_Store", "Thumbs.db"):
-        (tmp_path / name).write_bytes(content if name == ".hidden.png" else b"\0\5\x16\7")
-    for folder in ("__MACOSX", "@eaDir", ".ipynb_checkpoints"):
-        (tmp_path / folder).mkdir()
-        (tmp_path / folder / "00.png").write_bytes(content)
-    assert frames_in_order(tmp_path) == [60, 120]
-
-
-def test_grey_of_16_bits_and_transparency_are_seen_in_a_folder(tmp_path):
-    levels = np.linspace(0, 65535, 256)[None].repeat(256, 0).astype(np.uint16)
-    Pictures.fromarray(levels).save(tmp_path / "0.png")
-    assert (open_camera(str(tmp_path)).read().image == np.arange(256)[None, :, None]).all()
-    (tmp_path / "0.png").unlink()
-    Pictures.new("RGBA", (300, 300), (0, 0, 0, 0)).save(tmp_path / "0.png")
-    assert (open_camera(str(tmp_path)).read().image == 255).all()
 
 
 def test_a_folder_says_which_pictures_are_not_read(tmp_path):

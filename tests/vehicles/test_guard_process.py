@@ -224,17 +224,11 @@ def test_the_guard_loads_nothing_heavy():
 # The pilot process.
 
 
-def test_a_pilot_process_that_is_killed_is_landed_at_once():
-    with playing() as peer, pilot(peer, rules=PATIENT) as process:
+@pytest.mark.parametrize(("number", "rules"), [(signal.SIGKILL, PATIENT), (signal.SIGSTOP, QUICK)])
+def test_a_pilot_process_that_is_killed_is_landed_at_once_and_one_that_is_stopped_by_the_rules(number, rules):
+    with playing() as peer, pilot(peer, rules=rules) as process:
         soon(lambda: peer.setpoints_since(0))
-        process.kill()
-        soon(lambda: landing(peer))
-
-
-def test_a_pilot_process_that_is_stopped_is_landed():
-    with playing() as peer, pilot(peer) as process:
-        soon(lambda: peer.setpoints_since(0))
-        process.send_signal(signal.SIGSTOP)
+        process.send_signal(number)
         soon(lambda: landing(peer))
 
 
@@ -254,8 +248,7 @@ def stopped(peer: Peer) -> bool:
 
 @pytest.mark.parametrize("guard", [False, True], ids=["pilot process", "guard"])
 @pytest.mark.parametrize(
-    ("number", "climbing"),
-    [(signal.SIGHUP, False), (signal.SIGTERM, True), (signal.SIGINT, False)],
+    ("number", "climbing"), [(signal.SIGHUP, False), (signal.SIGTERM, True), (signal.SIGINT, False)]
 )
 def test_a_signal_to_the_pilot_process_or_the_guard_lands_in_climb_and_flight(number, climbing, guard):
     with playing(climbs=not climbing) as peer, pilot(peer, rules=PATIENT) as process:

@@ -29,6 +29,7 @@ TIMEOUTS = ("policy", "first_command", "camera", "link", "state", "heartbeat", "
 PATIENT_ALL: dict[str, Any] = dict.fromkeys((*TIMEOUTS, "battery_report"), Timeouts(LIMIT_S, 2 * LIMIT_S))
 PATIENT = replace(CALM, land_after_brake_s=0.5, **PATIENT_ALL)
 STICKS = (1500, 1500, 1200, 1500)
+VELOCITY = m.MAVLink_set_position_target_local_ned_message(0, 1, 1, 8, 0x5C7, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0)
 
 
 def watch(drone: MavlinkDrone, **rules: Any) -> None:
@@ -91,6 +92,8 @@ FAULTS: dict[str, tuple[Callable[[Peer], None], dict[str, Any], str]] = {
     "tilt": (change(tilt=1.3), {}, "tilt"),
     "jump": (jump, {"most_jump_m": RULES.most_jump_m}, "position jumped by"),
     "restart": (restart, {}, "clock went back"),
+    "lost_remote": (change(remote=False), {"remote": RULES.remote}, "remote control is lost"),
+    "commander": (change(also=(packed(VELOCITY, 9, 190),)), {}, "system 9, component 190, commands the vehicle too"),
     "foreign_place": (change(target=(0xDF8, 0.0)), {}, "did not send"),
 }
 
@@ -98,7 +101,7 @@ FAULTS: dict[str, tuple[Callable[[Peer], None], dict[str, Any], str]] = {
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_of_the_vehicle_lands(fault):
     happen, rules, words = FAULTS[fault]
-    with playing() as peer, flying(peer, PATIENT) as drone:
+    with playing(sticks=STICKS, remote=True) as peer, flying(peer, PATIENT) as drone:
         until_it_flies(drone)
         watch(drone, **rules)
         happen(peer)
@@ -204,14 +207,6 @@ def test_a_silent_downlink_leaves_the_vehicle_in_guided():
         peer.part.mute = False
 
 
-def test_a_lost_remote_control_lands():
-    with playing(sticks=STICKS, remote=True) as peer, flying(peer, PATIENT) as drone:
-        until_it_flies(drone)
-        peer.part.remote = False
-        watch(drone, remote=RULES.remote)
-        lands(peer, drone, "remote control is lost")
-
-
 @pytest.mark.parametrize("on", [{"remote": True}, {"sticks": STICKS}])
 def test_a_remote_control_that_is_switched_on_brakes(on):
     with playing(**({"remote": False} if "remote" in on else {})) as peer, flying(peer, PATIENT) as drone:
@@ -221,14 +216,6 @@ def test_a_remote_control_that_is_switched_on_brakes(on):
         assert "switched on" in drone.decision.reason
         time.sleep(0.7)
         assert peer.part.mode == MODES["GUIDED"]
-
-
-def test_who_else_commands_lands_it():
-    velocity = m.MAVLink_set_position_target_local_ned_message(0, 1, 1, 8, 0x5C7, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0)
-    with playing() as peer, flying(peer, PATIENT) as drone:
-        until_it_flies(drone)
-        peer.part.also = (packed(velocity, 9, 190),)
-        lands(peer, drone, "system 9, component 190, commands the vehicle too")
 
 
 def test_somebody_who_sends_as_the_vehicle_is_not_believed_and_lands_it():

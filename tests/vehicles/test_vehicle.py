@@ -231,13 +231,15 @@ TARGETS: list[tuple[int, int, dict, str]] = [
 def test_targets_that_are_not_supported_stop_it(client: Client) -> None:
     client.airborne(1.0)
     for frame, mask, changes, words in TARGETS:
-        client.fly(1.5, v=(1.0, 0.0, 0.0))
+        client.fly(0.5, v=(1.0, 0.0, 0.0))
         client.seen.clear()
         client.local(frame, mask, **changes)
-        client.run(2.5)
+        client.run(0.1)
         assert "Target refused" in client.texts()
         assert words in client.texts()
-        assert client.vehicle.state().velocity == pytest.approx([0, 0, 0], abs=0.08)
+        flown = client.vehicle.state().velocity[0]
+        client.run(0.6)
+        assert client.vehicle.state().velocity[0] < 0.8 * flown
 
 
 def test_the_pilot_takes_over(client: Client) -> None:
@@ -254,7 +256,8 @@ def test_the_pilot_takes_over(client: Client) -> None:
 
 def test_returns_home(client: Client) -> None:
     client.airborne()
-    client.fly(3.0, v=(1.0, 1.0, 0.0))
+    client.set(RTL_LOIT_TIME=0.0)
+    client.fly(1.5, v=(1.0, 1.0, 0.0))
     client.command(m.MAV_CMD_NAV_RETURN_TO_LAUNCH)
     highest = 0.0
     for _ in range(40):
@@ -311,11 +314,11 @@ def test_the_silence_of_the_ground_station_counts_and_what_a_pilot_flies_goes_on
     client: Client, mode: Mode, options: float, after: Mode
 ) -> None:
     client.airborne()
-    client.set(FS_GCS_ENABLE=5.0, FS_OPTIONS=options)
+    client.set(FS_GCS_ENABLE=5.0, FS_GCS_TIMEOUT=2.0, FS_OPTIONS=options)
     client.heartbeat()
     client.run(0.1)
     client.vehicle.pilot(mode)
-    client.run(4.4)
+    client.run(1.4)
     assert client.vehicle.modes.mode == mode
     client.run(1.0)
     assert client.vehicle.modes.mode == after

@@ -1,6 +1,7 @@
-"""The export command: which task, which folder, and what it says when it cannot."""
+"""The export: which task, which folder, what it says when it cannot; and what libsdformat's own parser says of it."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,11 +10,23 @@ from sdf_reading import models, read_world, values
 from cognitivedrone.cli import main
 from cognitivedrone.errors import GazeboError, LabelError, TaskError
 from cognitivedrone.tasks import load_suite
-from cognitivedrone.vehicles.gazebo.worlds.export import export, find_track, stages_of
-from cognitivedrone.world import geometry
+from cognitivedrone.types import Gate, Stage
+from cognitivedrone.vehicles.gazebo.worlds import export as checking
+from cognitivedrone.vehicles.gazebo.worlds.export import (
+    PACKAGE,
+    check,
+    export,
+    find_checker,
+    find_track,
+    world_of,
+)
+from cognitivedrone.vehicles.gazebo.worlds.sdf import PanelPicture, document, prop_model, props_of
+from cognitivedrone.world.appearance import PLAIN, varied_appearance
 
 
 def test_one_task_is_one_world_with_all_its_files(tmp_path, capsys):
+    suite = load_suite("open-v1:track")
+    assert find_track(suite, track="3") is find_track(suite, track=suite.tracks[3][2].id) is suite.tracks[3]
     main(["gazebo", "export", "--suite", "open-v1:test", "--task", "open-v1:test/0007", "--out", str(tmp_path / "w")])
     task = next(track[0] for track in load_suite("open-v1:test").tracks if track[0].id == "open-v1:test/0007")
     assert task.instruction in capsys.readouterr().out
@@ -30,28 +43,6 @@ def test_one_task_is_one_world_with_all_its_files(tmp_path, capsys):
     assert "gz sim -v 3 -r world.sdf" in readme
     assert "gz-harmonic" in readme
     assert "$" not in re.sub(r"\$(HOME|ARDUPILOT|GZ_SIM_SYSTEM_PLUGIN_PATH)\b", "", readme)
-
-
-def test_the_stages_of_a_track_lie_behind_the_right_gates(track_folder):
-    track = load_suite("open-v1:track").tracks[0]
-    stages = stages_of(track)
-    assert len(stages) == len(list(track_folder.glob("stage_*.sdf"))) == len(track)
-    for before, after, task in zip(stages, stages[1:], track, strict=False):
-        assert (after.origin, after.yaw) == geometry.next_stage_origin(before, task.target)
-    for number, stage in enumerate(stages, start=1):
-        found = models(read_world(track_folder / f"stage_{number}.sdf"))
-        vehicle = values(found["iris"], "pose")
-        start = geometry.to_gate_frame(np.array(vehicle[:3]), np.array([*stage.origin, 0.0]), stage.yaw)
-        assert start[:2] == pytest.approx(geometry.START[:2], abs=1e-6)
-        assert vehicle[5] == pytest.approx(stage.yaw)
-        for place, center in enumerate(geometry.gate_centers(stage), start=1):
-            assert values(found[f"gate_{place}"], "pose")[:2] == pytest.approx(center[:2], abs=1e-6)
-
-
-def test_a_track_is_found_by_its_number_and_by_any_of_its_tasks():
-    suite = load_suite("open-v1:track")
-    assert find_track(suite, track="3") is find_track(suite, track=suite.tracks[3][2].id) is suite.tracks[3]
-    assert find_track(suite, task=suite.tracks[3][2].id) == (suite.tracks[3][2],)
 
 
 def test_the_same_export_is_the_same_bytes(tmp_path):
@@ -93,3 +84,56 @@ def test_a_texture_that_cannot_be_written_is_named(tmp_path):
         GazeboError, match=r"file/w: cannot be written \(Not a directory\); make room there or give another"
     ):
         export("open-v1:smoke", task="open-v1:smoke/0003", out=tmp_path / "file" / "w")
+
+
+needs_parser = pytest.mark.skipif(
+    find_checker() is None, reason=f"libsdformat is not on this machine: apt-get install {PACKAGE}"
+)
+STAGE = Stage(
+    (Gate("big", "round", "red"), Gate("small", "square", "green"), Gate("big", "triangle", "blue")),
+    ("letter/A@inter",) * 3,
+)
+PICTURES = (PanelPicture("a.png", 1.0), PanelPicture("b.png", 0.5), PanelPicture("c.png", 2.0))
+BOARD = PanelPicture("sum.png", 1.0)
+
+
+@needs_parser
+def test_worlds_of_plain_and_of_varied_looks_pass_the_parser(tmp_path):
+    files = [tmp_path / "plain.sdf", tmp_path / "varied.sdf"]
+    for file, appearance in zip(files, (PLAIN, varied_appearance(np.random.default_rng(0))), strict=True):
+        stage = replace(STAGE, board="sum/1+2@inter", origin=(3.0, -2.0), yaw=0.3)
+        file.write_text(document(world_of(stage, props_of(stage, PICTURES, BOARD, appearance), appearance)))
+    assert "sdf" in check(files)
+
+
+@needs_parser
+def test_an_exported_track_and_a_model_to_spawn_pass_the_parser(track_folder, tmp_path):
+    model = tmp_path / "model.sdf"
+    model.write_text(document(prop_model(props_of(STAGE, PICTURES, None, PLAIN)[3], "file:///somewhere/")))
+    check([track_folder / "stage_2.sdf", model])
+
+
+@needs_parser
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [("<child>rotor_0</child>", "<child>rotor_9</child>"), ("<horizontal_fov>", "<horizontal_view>"), ("</world>", "")],
+    ids=["no such link", "no such element", "cut short"],
+)
+def test_what_is_broken_does_not_pass(track_folder, tmp_path, right, wrong):
+    text = (track_folder / "stage_1.sdf").read_text()
+    broken = tmp_path / "broken.sdf"
+    broken.write_text(text.replace(right, wrong).replace(right.replace("<", "</"), wrong.replace("<", "</")))
+    with pytest.raises(GazeboError, match=r"broken\.sdf does not pass"):
+        check([broken])
+
+
+def test_the_command_says_what_is_missing(tmp_path, capsys, monkeypatch):
+    if find_checker() is not None:
+        with pytest.raises(SystemExit):
+            main(["gazebo", "check", str(tmp_path / "none.sdf")])
+        assert "there is no SDF file" in capsys.readouterr().err
+    monkeypatch.setattr(checking, "LIBRARIES", ())
+    monkeypatch.setattr(checking, "COMMANDS", ())
+    with pytest.raises(SystemExit, match=r"^2$"):
+        main(["gazebo", "check", str(tmp_path / "none.sdf")])
+    assert f"apt-get install {PACKAGE}" in capsys.readouterr().err

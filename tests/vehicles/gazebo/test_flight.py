@@ -8,9 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
-pytest.importorskip("pymavlink")
-
 from fake_gazebo import FakeGazebo
 from moving import PATIENT, Moving, moving, opened
 from sdf_reading import models, read_world
@@ -27,10 +24,9 @@ from cognitivedrone.sim.airframe import IRIS
 from cognitivedrone.sim.simulator import Start
 from cognitivedrone.tasks import load_suite
 from cognitivedrone.vehicles.gazebo import flight as flight_module
-from cognitivedrone.vehicles.gazebo.flight import on_the_ground
 from cognitivedrone.vehicles.mavlink.client.core import FlightCore
 from cognitivedrone.vehicles.mavlink.client.health import PassThroughGuard
-from cognitivedrone.vehicles.simulated import STARTS, ExternalWorld, Placement
+from cognitivedrone.vehicles.simulated import STARTS, ExternalWorld
 from cognitivedrone.world import geometry
 from cognitivedrone.world.appearance import PLAIN
 
@@ -187,12 +183,3 @@ def test_the_guard_lets_go_for_good():
     assert guard.judge(health).reason == "the mode became BRAKE"
     health.mode = "GUIDED"
     assert guard.judge(health).kind == "hands_off"
-
-
-def test_a_stage_goes_where_the_vehicle_is():
-    stage = replace(stage_of(load_suite("open-v1:track").tracks[0][0]), origin=(2.0, -1.0), yaw=0.4)
-    placement = Placement(0.7, np.array([3.0, 5.0, 0.0]))
-    there = on_the_ground(placement, stage)
-    centers = geometry.gate_centers(there)
-    back = rotate_yaw(centers, placement.turn) + placement.shift
-    np.testing.assert_allclose(back, geometry.gate_centers(stage), atol=1e-9)

@@ -111,14 +111,6 @@ def test_the_same_stage_elsewhere_is_moved_and_nothing_spawned_but_the_light(gaz
         assert [request.name[:3] for service, request in gazebo.asked if service == "create"] == ["sun"]
 
 
-def test_a_gate_alone_and_then_three(gazebo, tmp_path):
-    with connect(gazebo, tmp_path) as world:
-        world.show(replace(stages()[0], only=2, board=None), PACK)
-        assert sum(name.startswith(("gate", "panel")) for name in gazebo.poses) == 1
-        world.show(stages()[0], PACK)
-        assert sum(name.startswith(("gate", "panel")) for name in gazebo.poses) == 6
-
-
 def test_services_are_called_from_a_process_that_subscribes_to_nothing(gazebo, tmp_path):
     # gz-transport's Python holds the interpreter's lock during a call, and the reply waits behind what we subscribe to.
     with connect(gazebo, tmp_path) as world:
