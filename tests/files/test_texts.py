@@ -92,14 +92,7 @@ def test_what_could_mean_two_things_is_one_sentence(tmp_path, content, says):
     assert "\n" not in str(found.value)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        '["http://a/b", "/* no */", ",]", "\\"//", "a,}"]',
-        "[1, 2]",
-        '{"a": {"b": []}}',
-    ],
-)
+@pytest.mark.parametrize("text", ['["http://a/b", "/* no */", ",]", "\\"//", "a,}"]', "[1, 2]", '{"a": {"b": []}}'])
 def test_json_with_what_only_resembles_comments_is_itself(text):
     assert load_json(text) == json.loads(text)
     assert load_json(text + " // more") == json.loads(text)

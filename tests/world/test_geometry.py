@@ -81,15 +81,6 @@ def test_margin_and_frame_agree_in_the_plane(gate, lateral, vertical):
         assert distance >= -margin - 2 * geometry.BAR_WIDTH - 1e-9
 
 
-@given(gate=gates, along=metres, lateral=metres, vertical=metres)
-def test_mirror_symmetry(gate, along, lateral, vertical):
-    here = geometry.frame_distance(gate, along, lateral, vertical)
-    assert geometry.frame_distance(gate, -along, -lateral, vertical) == pytest.approx(float(here))
-    assert geometry.opening_margin(gate, -lateral, vertical) == pytest.approx(
-        float(geometry.opening_margin(gate, lateral, vertical))
-    )
-
-
 @given(gate=gates, point=st.tuples(metres, metres, metres), step=st.tuples(metres, metres, metres))
 def test_distances_never_change_faster_than_the_point_moves(gate, point, step):
     moved = tuple(a + b for a, b in zip(point, step, strict=True))
@@ -126,12 +117,3 @@ def test_frame_and_panel_have_depth():
     assert geometry.panel_distance(1.0, 0.0, 1.4, middle) == pytest.approx(0.4)
     assert geometry.panel_distance(0.5, 0.0, 1.4, middle) == pytest.approx(0.9)
     assert geometry.panel_distance(1.0, 0.0, 0.0, middle - 1.25) == pytest.approx(0.25)
-
-
-def test_batches_keep_their_shape():
-    points = np.zeros((4, 5, 3))
-    centers = geometry.gate_centers(stage())
-    local = geometry.to_gate_frame(points[:, :, None], centers, geometry.gate_yaws(stage()))
-    assert local.shape == (4, 5, 3, 3)
-    assert geometry.frame_distance(THREE[0], *np.moveaxis(local, -1, 0)).shape == (4, 5, 3)
-    assert geometry.opening_margin(THREE[2], local[..., 1], local[..., 2]).shape == (4, 5, 3)
