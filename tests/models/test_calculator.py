@@ -198,9 +198,9 @@ def test_what_is_written_in_signs_or_in_words_is_worked_out_alike(expression, wo
     assert evaluate(expression) == expected
 
 
-@given(st.text(max_size=200))
+@given(st.text(max_size=100))
 def test_no_text_breaks_the_calculator(text):
-    assert calculate(text) is None or isinstance(calculate(text), int)
+    assert isinstance(calculate(text), int | None)
 
 
 @pytest.mark.parametrize(

@@ -94,7 +94,6 @@ def test_a_table_that_another_encoder_read_is_refused(model):
 
 
 def test_the_packaged_table_is_that_of_the_file(model):
-    pytest.importorskip("torch")
     from cognitivedrone.training.small_vla.concepts import concepts
 
     table = concepts()
@@ -114,7 +113,6 @@ def test_the_packaged_table_is_that_of_the_file(model):
     ],
 )
 def test_a_broken_table_is_refused_in_a_sentence(line, says):
-    pytest.importorskip("torch")
     from cognitivedrone.training.small_vla.concepts import concepts
 
     with pytest.raises(TrainingError, match=says):

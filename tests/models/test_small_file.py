@@ -22,8 +22,8 @@ from tiny import (
     tiny_model,
 )
 
-from cognitivedrone.errors import MissingExtra, PolicyError
-from cognitivedrone.models.onnx_file import BLANK, KEY, seal
+from cognitivedrone.errors import MissingExtra, ModelError, PolicyError
+from cognitivedrone.models.onnx_file import BLANK, KEY, numbers_of, seal
 from cognitivedrone.models.small_file import KIND, SmallModel, describe, read_description
 
 
@@ -253,3 +253,20 @@ def test_a_model_is_run_with_the_text_encoder_that_it_was_trained_with(tmp_path)
     (tmp_path / "text_encoder.onnx").unlink()
     assert "was trained with another text encoder than" in refused(path)
     assert read_description(path) == OPEN_DESCRIPTION
+
+
+class Session:
+    """Answers with what it was made with."""
+
+    def __init__(self, *answers: list[float]) -> None:
+        self.answers = [np.array(each, np.float32) for each in answers]
+
+    def run(self, outputs: tuple[str, ...], inputs: object) -> list[np.ndarray]:
+        return self.answers[: len(outputs)]
+
+
+def test_values_that_are_no_numbers_are_told_with_their_network() -> None:
+    sound = numbers_of(Session([1.0, -np.inf]), ("logits",), {}, "the gate selector")
+    assert sound[0].tolist() == [1.0, -np.inf]  # as of what is masked
+    with pytest.raises(ModelError, match=r"the gate selector answers with values that are not numbers \(looks\)"):
+        numbers_of(Session([1.0], [np.nan]), ("readings", "looks"), {}, "the gate selector")

@@ -12,6 +12,7 @@ from cognitivedrone.models.attributes import AttributeSchema
 from cognitivedrone.models.eyes.finder import CELLS, LOOKS, SLOTS, STRIDE, Scene, crops
 from cognitivedrone.models.eyes.panel_reader import ReaderConfig
 from cognitivedrone.models.small_vla import Eyes, FlightHead, SmallVLA, SmallVLAConfig
+from cognitivedrone.models.words.gate_selector import SelectorConfig
 from cognitivedrone.models.words.language import LanguageConfig
 
 SCHEMA = AttributeSchema(
@@ -215,12 +216,6 @@ def test_the_reader_stays_as_it_was_trained() -> None:
         assert torch.equal(value, before[name]), name
 
 
-def test_values_decode_to_the_ends_of_the_range() -> None:
-    flight = network().flight
-    ends = torch.tensor([-1.0, 1.0])[:, None].expand(2, 4)
-    torch.testing.assert_close(flight.decode(3 * ends), torch.stack([flight.low, flight.high]))
-
-
 def test_a_former_network_is_one_of_today_where_it_had_no_choice() -> None:
     former = CONFIG.facts() | {"image_size": 256, "head": "regression", "bins": 256}
     assert SmallVLAConfig.of(former) == CONFIG
@@ -228,6 +223,9 @@ def test_a_former_network_is_one_of_today_where_it_had_no_choice() -> None:
         SmallVLAConfig.of(former | {"head": "tokens"})
 
 
-@pytest.mark.parametrize("config", [CONFIG, replace(CONFIG, reader=None), CONFIG.reader, CONFIG.language])
+SELECTOR = SelectorConfig(pieces=40, width=16, layers=3, apart=2, heads=2, hidden=32)
+
+
+@pytest.mark.parametrize("config", [CONFIG, replace(CONFIG, reader=None), CONFIG.reader, CONFIG.language, SELECTOR])
 def test_facts_are_json_values_that_make_the_same_configuration(config: Any) -> None:
     assert type(config).of(json.loads(json.dumps(config.facts()))) == config

@@ -1,4 +1,4 @@
-"""The text encoder's file: the same meaning alone and in a batch, bounds for any text, a sentence on a bad file."""
+"""The text encoder: words, word pieces, scenes as numbers, bounds for any text, a sentence on a bad file."""
 
 import numpy as np
 import pytest
@@ -6,8 +6,15 @@ from tiny import DIGEST, PIECES, WIDTH, heard, tiny_encoder, tiny_model, tiny_pi
 
 from cognitivedrone.errors import ModelError
 from cognitivedrone.models.words import text_encoder
-from cognitivedrone.models.words.scene_tokens import LENGTHS
-from cognitivedrone.models.words.text_encoder import TextEncoderModel, encoder_of, packaged_encoder, packed, parts_of
+from cognitivedrone.models.words.scene_tokens import INPUTS, LENGTHS, SceneText, SceneTokenizer, stacked
+from cognitivedrone.models.words.text_encoder import (
+    TextEncoderModel,
+    encoder_of,
+    packaged_encoder,
+    packed,
+    parts_of,
+    words_of,
+)
 
 
 @pytest.fixture
@@ -129,3 +136,53 @@ def test_word_pieces_that_cannot_be_trusted(tmp_path, fields, says):
     path = tiny_encoder(tmp_path)
     tiny_pieces(tmp_path, **fields)
     assert says in refused(lambda: TextEncoderModel.load(path))
+
+
+BERT = ("[PAD]", "[UNK]", "[CLS]", "fly", "to", "the", "cat", "##s", "left", "gate", ",", "5")
+TOKENIZER = SceneTokenizer(BERT)
+TEXT = SceneText("Fly to the cats", "", ("left gate, cat", "gate 5", "Gäte"))
+
+
+def test_every_part_begins_anew() -> None:
+    tokens, positions, parts = TOKENIZER.encode(TEXT.parts)
+    words = [BERT[token] for token in tokens]
+    assert words[:6] == ["[CLS]", "fly", "to", "the", "cat", "##s"]
+    assert words[6:] == ["[CLS]", "[CLS]", "left", "gate", ",", "cat", "[CLS]", "gate", "5", "[CLS]", "gate"]
+    assert positions.tolist() == [0, 1, 2, 3, 4, 5, 0, 0, 1, 2, 3, 4, 0, 1, 2, 0, 1]
+    assert parts.tolist() == [0] * 6 + [1] + [2] * 5 + [3] * 3 + [4] * 2
+
+
+@pytest.mark.parametrize("text", ["cat " * 100_000, "\U0001f600" * 2000, "x" * 1_000_000, "", "\x00\u202e", "飛行機へ"])
+def test_any_text_takes_a_bounded_length(text: str) -> None:
+    tokens, *_ = TOKENIZER.encode([text] * 5)
+    assert 5 <= len(tokens) <= sum(LENGTHS)
+
+
+def test_a_batch_is_padded_with_nothing() -> None:
+    batch = stacked([TOKENIZER.encode(TEXT.parts), TOKENIZER.encode(["", "", "", "", ""])])
+    assert {name: values.shape for name, values in batch.items()} == dict.fromkeys(INPUTS, (2, 17))
+    assert (batch["tokens"][1, 5:] == 0).all()
+    np.testing.assert_array_equal(batch["parts"][1, :5], range(5))
+
+
+@pytest.mark.parametrize("pieces", [(), ("a", "b"), (*BERT, "cat"), ("[UNK]", "[PAD]", "[CLS]")])
+def test_a_list_that_is_no_vocabulary_is_refused(pieces: tuple[str, ...]) -> None:
+    with pytest.raises(ModelError, match="is no word-piece vocabulary"):
+        SceneTokenizer(pieces)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("Fly to gate 3*3!", ["fly", "to", "gate", "3", "*", "3", "!"]),
+        ("7×9", ["7", "×", "9"]),
+        ("McDonald's and McDonald\u2019s", ["mcdonald", "and", "mcdonald"]),
+        ("the letter 'S'", ["the", "letter", "'", "s", "'"]),
+        ("CAFÉ Zürich", ["cafe", "zurich"]),
+        ("A4 number17", ["a", "4", "number", "17"]),
+        ("１２ polar_bear", ["12", "polar", "_", "bear"]),
+        ("\t \n", []),
+    ],
+)
+def test_a_sentence_is_parted_into_words(text, words):
+    assert words_of(text) == words

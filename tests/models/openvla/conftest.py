@@ -13,8 +13,6 @@ def _everywhere(one_thread: None) -> None:
 @pytest.fixture(scope="session")
 def made_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A tiny checkpoint with a head for chunks of 5. For reading only."""
-    pytest.importorskip("torch")
-    pytest.importorskip("transformers")
     from openvla_files import write_checkpoint
 
     return write_checkpoint(tmp_path_factory.mktemp("openvla"), chunk=5)

@@ -11,16 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from openvla_files import STATISTICS, write_tokenizer
+from safetensors.torch import load_file, save_file
 
 from cognitivedrone.errors import MissingExtra, PolicyError
-from cognitivedrone.models.openvla.checkpoint import (
-    check_memory,
-    free_memory,
-    inspect,
-    needed_bytes,
-    read_header,
-)
+from cognitivedrone.models.openvla import weights
+from cognitivedrone.models.openvla.checkpoint import check_memory, free_memory, inspect, needed_bytes, read_header
 from cognitivedrone.models.openvla.config import Config, read_config, tiny_config, write_config
 from cognitivedrone.models.openvla.prepare import (
     BEGIN,
@@ -32,13 +29,6 @@ from cognitivedrone.models.openvla.prepare import (
     read_encoder,
     read_preparation,
 )
-
-torch = pytest.importorskip("torch")
-pytest.importorskip("transformers")
-
-from safetensors.torch import load_file, save_file  # noqa: E402
-
-from cognitivedrone.models.openvla import weights  # noqa: E402
 
 
 @pytest.fixture
@@ -144,7 +134,6 @@ class TestLoading:
 
     def test_torchao_makes_them_small_and_the_answers_stay(self, made_folder):
         """The real library, on the CPU."""
-        pytest.importorskip("torchao")
         found = inspect(made_folder)
         whole, small = (weights.load(found, "cpu", torch.bfloat16, bits) for bits in ("none", "int8"))
         for name, layer in small.language_model.model.layers.named_modules():
@@ -162,7 +151,6 @@ class TestLoading:
 
     @pytest.mark.card  # torchao packs 4 bits for GPUs only
     def test_torchao_packs_four_bits_on_a_gpu(self):
-        pytest.importorskip("torchao")
         exact = torch.nn.Sequential(torch.nn.Linear(256, 256, bias=False)).to("cuda", torch.bfloat16)
         small = copy.deepcopy(exact)
         weights.quantise(small, "int4", "cuda")

@@ -5,23 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
+from torch._dynamo.utils import counters
 
-torch = pytest.importorskip("torch")
-pytest.importorskip("transformers")
-
-from torch._dynamo.utils import counters  # noqa: E402
-
-from cognitivedrone.models.openvla.compiled import compile_blocks, uncompile  # noqa: E402
-from cognitivedrone.models.openvla.config import PATCHES, Config, tiny_config  # noqa: E402
-from cognitivedrone.models.openvla.decode import Autoregressive, Parallel, Runner, chunk_actions, greedy_tokens  # noqa: E402
-from cognitivedrone.models.openvla.network import IGNORED  # noqa: E402
-from cognitivedrone.models.openvla.prepare import ImagePreparation  # noqa: E402
-from cognitivedrone.models.openvla.weights import (  # noqa: E402
-    empty_network,
-    fuse,
-    quantise,
-    random_network,
-)
+from cognitivedrone.models.openvla.compiled import compile_blocks, uncompile
+from cognitivedrone.models.openvla.config import PATCHES, Config, tiny_config
+from cognitivedrone.models.openvla.decode import Autoregressive, Parallel, Runner, chunk_actions, greedy_tokens
+from cognitivedrone.models.openvla.network import IGNORED
+from cognitivedrone.models.openvla.prepare import ImagePreparation
+from cognitivedrone.models.openvla.weights import empty_network, fuse, quantise, random_network
 
 IDS = [1, 512, 29_901, 1724, 3158, 881, 278, 29_871]
 
@@ -40,6 +32,13 @@ def network():
     return made
 
 
+def of_depth(config, layers):
+    """A configuration with so many layers of the language, and of each tower one more, as the last is never run."""
+    towers = [replace(tower, depth=layers + 1) for tower in (config.dino, config.siglip)]
+    language = replace(config.language, num_hidden_layers=layers)
+    return replace(config, dino=towers[0], siglip=towers[1], language=language)
+
+
 def uncached(network, pixels, ids):
     """Four words by whole passes through the network, without any cache or padding."""
     ids = list(ids)
@@ -56,8 +55,9 @@ def test_the_cache_and_the_padding_change_no_word(network, seed):
     assert decode.tokens(pixels[0], ids).tolist() == uncached(network, pixels, ids)
 
 
-def test_a_step_is_one_function_of_tensors_without_a_look_at_a_value(network):
+def test_a_step_is_one_function_of_tensors_without_a_look_at_a_value():
     # What a GPU records as one graph must trace without a break; the eager backend runs what was traced.
+    network = random_network(of_depth(tiny_config(), 1)).eval()
     step = torch.compile(
         lambda *inputs: greedy_tokens(network, *inputs), backend="eager", dynamic=False, fullgraph=True
     )
@@ -68,11 +68,12 @@ def test_a_step_is_one_function_of_tensors_without_a_look_at_a_value(network):
 
 def test_the_7b_fits_together():
     # On the meta device shapes are computed, and nothing else.
-    large = empty_network(Config(chunk=8)).to(torch.bfloat16)
-    inputs = [torch.empty(1, 6, 224, 224), torch.empty(1, 32, dtype=torch.int64), torch.empty(1, dtype=torch.int64)]
+    large = empty_network(of_depth(Config(chunk=8), 2)).to(torch.bfloat16)
+    pixels = torch.empty(1, 6, 224, 224, device="meta")
+    ids, count = (torch.empty(size, dtype=torch.int64, device="meta") for size in ((1, 32), (1,)))
     with torch.inference_mode():
-        tokens = greedy_tokens(large, *(value.to("meta") for value in inputs))
-        actions = chunk_actions(large, *(value.to("meta") for value in inputs))
+        tokens = greedy_tokens(large, pixels, ids, count)
+        actions = chunk_actions(large, pixels, ids, count)
     assert (tokens.shape, tokens.dtype) == ((1, 4), torch.int64)
     assert (actions.shape, actions.dtype) == ((1, 8, 4), torch.bfloat16)
 
@@ -169,19 +170,12 @@ class TestCompiledBlocks:
         yield
         torch.compiler.reset()
 
-    @staticmethod
-    def deep(layers):
-        config = tiny_config()
-        towers = [replace(tower, depth=layers + 1) for tower in (config.dino, config.siglip)]
-        language = replace(config.language, num_hidden_layers=layers)
-        return random_network(replace(config, dino=towers[0], siglip=towers[1], language=language)).eval()
-
     def test_blocks_share_their_code_however_many_there_are(self):
         graphs = []
         for layers in (2, 5):
             torch.compiler.reset()
             counters.clear()
-            made = self.deep(layers)
+            made = random_network(of_depth(tiny_config(), layers)).eval()
             decode, pixels = Autoregressive(made), some_pixels(1)[0]
             wanted = decode.tokens(pixels, IDS).tolist()
             compile_blocks(made, "eager")
@@ -193,8 +187,7 @@ class TestCompiledBlocks:
         assert graphs == [4, 4]  # a block of each tower, a layer for the prompt, a layer for a word
 
     def test_int8(self):
-        pytest.importorskip("torchao")
-        made = self.deep(2)
+        made = random_network(of_depth(tiny_config(), 2)).eval()
         quantise(made.language_model.model.layers, "int8", "cpu")
         decode, pixels = Autoregressive(made), some_pixels(1)[0]
         wanted = decode.tokens(pixels, IDS).tolist()

@@ -2,15 +2,13 @@
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch")
-pytest.importorskip("transformers")
-
-from cognitivedrone.models.openvla.compiled import compile_blocks  # noqa: E402
-from cognitivedrone.models.openvla.config import tiny_config  # noqa: E402
-from cognitivedrone.models.openvla.decode import Autoregressive, Parallel  # noqa: E402
-from cognitivedrone.models.openvla.prepare import ImagePreparation  # noqa: E402
-from cognitivedrone.models.openvla.weights import random_network  # noqa: E402
+from cognitivedrone.models.openvla.compiled import compile_blocks
+from cognitivedrone.models.openvla.config import tiny_config
+from cognitivedrone.models.openvla.decode import Autoregressive, Parallel
+from cognitivedrone.models.openvla.prepare import ImagePreparation
+from cognitivedrone.models.openvla.weights import random_network
 
 pytestmark = pytest.mark.card
 IDS = [1, 512, 29_901, 1724, 3158, 881, 278, 29_871]

@@ -6,21 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from openvla_files import write_tokenizer
 from PIL import Image
 
 from cognitivedrone.models.openvla.actions import from_tokens
 from cognitivedrone.models.openvla.checkpoint import inspect
 from cognitivedrone.models.openvla.config import Config, tiny_config, write_config
+from cognitivedrone.models.openvla.decode import Autoregressive
 from cognitivedrone.models.openvla.prepare import ImagePreparation
 from cognitivedrone.models.openvla.tensors import own_name, published_name, unused_tensors, used_tensors
-
-torch = pytest.importorskip("torch")
-pytest.importorskip("transformers")
-
-from openvla_files import write_tokenizer  # noqa: E402
-
-from cognitivedrone.models.openvla.decode import Autoregressive  # noqa: E402
-from cognitivedrone.models.openvla.weights import empty_network, load  # noqa: E402
+from cognitivedrone.models.openvla.weights import empty_network, load
 
 REFERENCE = Path(__file__).resolve().parents[4] / "shared" / "openvla"
 pytestmark = pytest.mark.skipif(not REFERENCE.is_dir(), reason="the reference data are not at hand")

