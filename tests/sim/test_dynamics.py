@@ -140,16 +140,6 @@ def test_a_diverged_world_is_frozen_and_reported_while_others_fly_on():
     assert not flight.diverged.any()
 
 
-def test_reset_is_exact():
-    flight = BatchedFlight(1)
-    flight.reset(0, np.array([0.3, -0.2, 0.9]), yaw=0.4)
-    state = flight.state(0)
-    assert state.position.tolist() == [0.3, -0.2, 0.9]
-    assert state.quaternion.tolist() == pytest.approx([math.cos(0.2), 0, 0, math.sin(0.2)])
-    assert not state.velocity.any()
-    assert not state.body_rates.any()
-
-
 @pytest.mark.parametrize(
     ("worlds", "threads", "found"), [(1, 16, 1), (16, 16, 1), (63, 16, 1), (64, 16, 2), (64, 1, 1), (512, 4, 4)]
 )

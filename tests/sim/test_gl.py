@@ -80,10 +80,7 @@ def test_no_opengl_is_one_sentence_with_its_own_error_and_the_line_to_type(fresh
 
 @pytest.mark.parametrize(
     ("variable", "value", "own_error"),
-    [
-        ("MUJOCO_EGL_DEVICE_ID", "3", "must be an integer between 0 and"),
-        ("LIBGL_DRIVERS_PATH", "/nowhere", "/nowhere"),
-    ],
+    [("MUJOCO_EGL_DEVICE_ID", "3", "must be an integer between 0 and"), ("LIBGL_DRIVERS_PATH", "/nowhere", "/nowhere")],
 )
 def test_a_variable_that_keeps_opengl_from_starting_is_named(fresh, variable, value, own_error):
     fresh.setenv(variable, value)
@@ -104,9 +101,7 @@ def test_a_variable_that_keeps_opengl_from_starting_is_named(fresh, variable, va
     assert "\n" not in said
 
 
-def test_variables_without_which_it_does_not_start_either_are_named_beside_the_installation(
-    fresh,
-):
+def test_variables_without_which_it_does_not_start_either_are_named_beside_the_installation(fresh):
     fresh.setattr(gl, "_probe", absent)
     fresh.setenv("LIBGL_DRIVERS_PATH", "/no\x1bwhere")
     with pytest.raises(RenderError) as caught:
