@@ -79,19 +79,16 @@ def test_only_declining_without_interruption_counts():
     assert wait(made, 30).time_s == pytest.approx(15.0)
 
 
-def test_hovering_without_a_word_is_hesitation():
-    made = runner(ABSENT)
-    result = wait(made, 31)
-    assert (result.outcome, result.time_s) == ("hesitated", pytest.approx(30.0))
-
-
-def test_having_declined_before_is_not_enough_at_the_time_limit_but_declining_then_is():
-    for last, outcome in ((False, "hesitated"), (True, "passed")):
-        made = runner(ABSENT, limit=2.0)
-        made.decline(True)
-        assert wait(made, 1.0) is None
-        made.decline(last)
-        assert wait(made, 2.0).outcome == outcome
+@pytest.mark.parametrize(
+    ("first", "last", "outcome"), [(False, False, "hesitated"), (True, False, "hesitated"), (True, True, "passed")]
+)
+def test_declining_before_is_not_enough_at_the_time_limit_but_declining_then_is(first, last, outcome):
+    made = runner(ABSENT, limit=2.0)
+    made.decline(first)
+    assert wait(made, 1.0) is None
+    made.decline(last)
+    result = wait(made, 2.0)
+    assert (result.outcome, result.time_s) == (outcome, pytest.approx(2.0))
 
 
 def test_a_gate_flown_through_is_a_wrong_one_where_none_is_right():

@@ -14,7 +14,6 @@ from gymnasium.wrappers import RecordVideo
 
 from cognitivedrone.envs.gym import CognitiveDroneEnv
 from cognitivedrone.envs.options import observation_space
-from cognitivedrone.envs.track_runner import draw_start, episode_rng
 from cognitivedrone.envs.vector import CognitiveDroneVectorEnv
 from cognitivedrone.errors import LabelError, PolicyError, SimulationError, TaskError, UsageError
 from cognitivedrone.tasks import train_task
@@ -134,12 +133,6 @@ def test_hovering_is_cut_off_by_the_clock():
     endings = [made.step(np.zeros(4, np.float32))[2:4] for _ in range(5)]
     made.close()
     assert endings == [(False, False)] * 4 + [(False, True)]
-
-
-def test_the_seed_and_the_episode_change_where_a_flight_begins():
-    starts = [draw_start(episode_rng("suite", *which), 0.2) for which in ((0, 0), (0, 1), (1, 0), (0, 0))]
-    assert starts[0] == starts[3]
-    assert len(set(starts)) == 3
 
 
 def test_looks_differ_by_seed_only_where_they_are_varied():

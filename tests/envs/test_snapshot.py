@@ -72,16 +72,6 @@ def test_a_long_instruction_is_wrapped(smoke, shipped, tmp_path):
     assert (picture[:200, -16:] == 255).all()
 
 
-def test_own_pictures_of_any_shape_are_shown(smoke, tmp_path):
-    folder = tmp_path / "labels" / "flags"
-    folder.mkdir(parents=True)
-    for name, size in (("wide", (300, 100)), ("tall", (60, 240)), ("square", (80, 80))):
-        Image.new("RGB", size, (200, 0, 200)).save(folder / f"{name}.png")
-    task = replace(smoke.tracks[0][0], labels=("flags/wide", "flags/tall", "flags/square"))
-    _, picture = picture_of(Suite("mine", "0" * 64, ((task,),)), tmp_path / "a.png", labels=tmp_path / "labels")
-    assert (picture == (200, 0, 200)).all(axis=2).sum() > 5000
-
-
 def test_a_gate_that_stands_alone_is_the_only_one_listed(shipped):
     (_, race), (_, choice) = shipped("open-v1:race"), shipped("open-v1:smoke")
     assert race.shape[0] < choice.shape[0]
