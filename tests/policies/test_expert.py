@@ -54,8 +54,8 @@ def fly(suite_name, episodes, speed):
     return outcomes, [np.array(each) for each in commands]
 
 
-@pytest.mark.parametrize("speed", [1.0, 1.75, 2.5])
-def test_it_passes_at_every_speed_within_its_bounds(speed):
+@pytest.mark.parametrize("speed", [1.0, 2.5])
+def test_it_passes_slow_and_fast_within_its_bounds(speed):
     outcomes, flights = fly("open-v1:test", 16, speed)
     assert set(outcomes) == {"passed"}
     config = ExpertConfig()

@@ -92,7 +92,6 @@ def test_a_config_that_cannot_be_read_is_refused(tmp_path, text):
 
 @pytest.mark.skipif(importlib.util.find_spec("lerobot") is not None, reason="lerobot is installed")
 def test_without_lerobot_the_command_that_installs_it_is_reported(tmp_path):
-    pytest.importorskip("torch")
     with pytest.raises(MissingExtra, match=r"lerobot is not installed; it comes with cognitivedrone\[lerobot\]"):
         make_policy(f"lerobot:{folder_of(tmp_path, CONFIG)},device=cpu")
 
@@ -100,7 +99,8 @@ def test_without_lerobot_the_command_that_installs_it_is_reported(tmp_path):
 @pytest.fixture(scope="module")
 def checkpoint(tmp_path_factory):
     """A small ACT policy with random weights, saved by LeRobot itself."""
-    torch = pytest.importorskip("torch")
+    import torch
+
     pytest.importorskip("lerobot", reason="lerobot is not installed (docs/gymnasium.md)")
     from lerobot_checkpoints import save_act
 
@@ -151,10 +151,7 @@ def test_it_answers_what_lerobots_own_pipeline_answers(checkpoint):
     image = np.random.default_rng(0).integers(0, 256, (256, 256, 3)).astype(np.uint8)
     observation = Observation(image, "Fly", np.array([1, 0.1, -0.2], np.float32), 0.8, 0.1, 0.0)
     batch = preprocess_observation(
-        {
-            "pixels": {"front": image[None]},
-            "agent_pos": np.array([[1, 0.1, -0.2, 0.8, 0.1]], np.float32),
-        }
+        {"pixels": {"front": image[None]}, "agent_pos": np.array([[1, 0.1, -0.2, 0.8, 0.1]], np.float32)}
     )
     with torch.inference_mode():
         expected = after(theirs.select_action(before({**batch, "task": ["Fly"]}))).numpy()

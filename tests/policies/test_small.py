@@ -39,19 +39,8 @@ def policy(tmp_path):
 
 def test_the_network_sees_frame_motion_and_sentence(policy):
     chunk = policy.act(OBSERVATION)
-    assert chunk.shape == (2, 4)
-    assert chunk.dtype == np.float32
+    assert (chunk.shape, chunk.dtype) == ((2, 4), np.float32)
     assert np.allclose(chunk, [[0.2, 0.8, 0.36, -0.25]] * 2)  # toward the second gate, whose middle is 0.3 m above
-
-
-def test_it_keeps_what_the_network_said_for_viewers(policy):
-    assert policy.last is None
-    chunk = policy.act(OBSERVATION)
-    assert np.array_equal(policy.last.action, chunk)
-    assert policy.last.choice.shape == (4,)
-    assert policy.last.gates.shape == (3, 4)
-    policy.reset(EpisodeContext(TEXT))
-    assert policy.last is None
 
 
 def test_a_directive_that_changes_in_flight_is_followed(policy):
@@ -195,11 +184,7 @@ def test_it_resumes_only_when_it_is_sure_again():
 
 @pytest.mark.parametrize(
     "unclear",
-    [
-        answer(0.0, scores=(0.9, 0.9, 0.2)),
-        answer(0.0, distances=(3.0, 1.0, 3.0)),
-        answer(None),
-    ],
+    [answer(0.0, scores=(0.9, 0.9, 0.2)), answer(0.0, distances=(3.0, 1.0, 3.0)), answer(None)],
     ids=["two-gates", "near", "cannot-tell"],
 )
 def test_frames_that_cannot_tell_change_nothing(unclear):
@@ -225,8 +210,7 @@ def test_a_policy_that_declines_hovers_and_says_so(declining):
         assert not declining.declines
     chunk = declining.act(WHITE)
     assert declining.declines
-    assert chunk.shape == (2, 4)
-    assert chunk.dtype == np.float32
+    assert (chunk.shape, chunk.dtype) == ((2, 4), np.float32)
     assert not chunk.any()
     assert declining.last.action.any()  # viewers see what the network said
 
@@ -247,15 +231,6 @@ def test_where_it_is_there_nothing_is_declined(declining):
     for _ in range(30):
         assert declining.act(replace(OBSERVATION, image=np.zeros((256, 256, 3), np.uint8))).any()
     assert not declining.declines
-
-
-def test_models_that_read_no_sentences_never_decline(tiny_model_file):
-    policy = Small(tiny_model_file)
-    policy.reset(EpisodeContext(TEXT))
-    for _ in range(20):
-        policy.act(WHITE)
-    assert policy.last.present is None
-    assert not policy.declines
 
 
 def several(count):
