@@ -194,21 +194,6 @@ def test_names_that_collide_are_said_and_asked_for_with_their_kind(tmp_path: Pat
     assert not said & {"apple", "the apple"}
 
 
-def test_copies_that_editors_and_systems_leave_are_not_taught(tmp_path: Path) -> None:
-    for name in (
-        "animal/cat.png",
-        "animal/dog.png",
-        "animal/.ipynb_checkpoints/cow-checkpoint.png",
-        "@eaDir/x/hen.png",
-    ):
-        picture(tmp_path / name, (200, 0, 0))
-    lesson = read_lesson(tmp_path)
-    assert sorted(lesson.names) == ["concept/thing:cat", "concept/thing:dog"]
-    (tmp_path / "tasks").mkdir()
-    (tmp_path / "tasks" / "._food.json").write_bytes(b"\0\5\x16\7")
-    assert read_lesson(tmp_path, tmp_path / "tasks").digest == lesson.digest
-
-
 def test_bad_lessons_are_refused_before_any_training(tmp_path: Path, labels: Path) -> None:
     picture(tmp_path / "one" / "birds" / "robin.png", (9, 9, 9))
     with pytest.raises(TrainingError, match=r"shows 1 concept\(s\)"):
@@ -339,10 +324,7 @@ def test_a_taught_pilot_is_flown_and_taught_again(taught: Path, labels: Path) ->
     assert again.names == model.description.attributes
 
 
-PAGES = ("docs/training.md", "docs/tutorials/train.md")
-
-
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("page", ["docs/training.md", "docs/tutorials/train.md"])
 def test_the_commands_of_the_pages_fly_the_taught_pictures(
     page: str, taught: Path, labels: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,4 +1,4 @@
-"""The corpus of wordings: the files parse, nothing is repeated or held out, every slot can be filled."""
+"""The corpus of wordings: nothing is repeated or held out, every slot can be filled; and noise of typing."""
 
 import re
 from collections import Counter
@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from cognitivedrone.models.words.calculator import calculate
 from cognitivedrone.references import parse_reference
-from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, facts, wording
+from cognitivedrone.tasks import BASE_FAMILIES, FAMILIES, facts, train_task, vocabulary, wording
 from cognitivedrone.tasks.families.hard import KINDS
 from cognitivedrone.tasks.families.memory import memory_track
 from cognitivedrone.tasks.families.symbols import logo_name
@@ -18,28 +19,11 @@ from cognitivedrone.tasks.suites import drawn_task
 from cognitivedrone.tasks.vocabulary import HELD_OUT_FONTS, HELD_OUT_STYLES, LETTERS, LOGOS
 from cognitivedrone.training.language.problems import THINGS
 from cognitivedrone.training.language.questions import ask, families
-from cognitivedrone.training.language.wordings import (
-    COLORED,
-    LISTS,
-    SHOWN,
-    TYPED,
-    corpus,
-    slots_of,
-    wordings_of,
-)
+from cognitivedrone.training.language.typing_noise import typed
+from cognitivedrone.training.language.wordings import COLORED, LISTS, SHOWN, TYPED, corpus, slots_of, wordings_of
 from cognitivedrone.types import Gate
 
 LINES = [(name, head, line) for name, file in corpus().items() for head, lines in file.items() for line in lines]
-LEAST = {
-    "additional": 290,
-    "frames": 400, "attributes": 120, "people": 150, "letters": 180, "digits": 200, "logos": 150, "animals": 200,
-    "math": 150, "math_board": 200, "food": 180, "numbers_and_letters": 250, "association": 900, "conjunction": 50,
-    "exclusion": 60, "relations": 150, "negation": 90, "counting": 100, "distraction": 60, "comparison": 180,
-    "two_step": 70, "memory": 70, "lacking": 50, "looks": 200, "places": 300, "beside": 90, "order": 120,
-    "features": 450, "kinds": 30, "letter_names": 500, "number_names": 120, "logo_names": 250, "names": 300,
-    "thing_names": 250,
-}  # fmt: skip
-"""Files of the corpus, and the least number of lines of each."""
 SLOTS = {
     "FRAMES": {"x"}, "ATTRIBUTES": {"x"}, "PEOPLE": {"x"}, "LETTERS": {"x"}, "DIGITS": {"x", "word"}, "LOGOS": {"x"},
     "ANIMALS": {"x", "a"}, "MATH": {"x"}, "conjunction": {"x"}, "exclusion": {"present", "absent"},
@@ -57,13 +41,6 @@ SLOTS = {
     **{f"counting {which}": {"x"} for which in ("most", "fewest")},
 }  # fmt: skip
 """Slots by heading, beside {other} and {gate}; headings that are not here have no others."""
-
-
-def test_there_are_thousands_of_lines_and_enough_in_every_file() -> None:
-    counts = Counter(name for name, _, _ in LINES)
-    assert set(counts) == set(LEAST)
-    assert sum(counts.values()) > 5000
-    assert {name for name, least in LEAST.items() if counts[name] < least} == set()
 
 
 def test_no_line_is_repeated_below_one_heading() -> None:
@@ -202,3 +179,44 @@ def test_questions_are_asked_in_typed_words_too() -> None:
     assert any("Java" in text for text in texts)
     assert any(re.search(r"\bred\b|\bblue\b", text) for text in texts)
     assert families(labels, None, gates, 1) == ("logos",)
+
+
+SENTENCES = [train_task(i, 3).instruction for i in range(250)]
+
+
+def test_most_sentences_change_and_many_only_a_little() -> None:
+    pairs = [(s, typed(s, np.random.default_rng([1, i]))) for i, s in enumerate(SENTENCES)]
+    assert np.mean([a != b for a, b in pairs]) > 0.6
+    assert np.mean([a.lower() == b.lower() for a, b in pairs]) > 0.25
+    assert len({typed(SENTENCES[0], np.random.default_rng(i)) for i in range(40)}) > 10
+
+
+def test_figures_and_sums_stay() -> None:
+    for i, sentence in enumerate(SENTENCES):
+        noisy = typed(sentence, np.random.default_rng([2, i]))
+        assert re.findall(r"\d+", noisy) == re.findall(r"\d+", sentence), noisy
+        assert calculate(noisy) == calculate(sentence), noisy
+    words = "what do you get if you take four from nine, then double it"
+    assert all(calculate(typed(words, np.random.default_rng(i))) == 10 for i in range(60))
+
+
+@pytest.mark.parametrize("letter", [letter for letter in vocabulary.LETTERS if letter != "I"])
+def test_names_of_letters_stay(letter: str) -> None:
+    for seed in range(12):
+        assert letter in re.findall(
+            r"\b[A-Z]\b", typed(f"Please fly through the gate with the letter {letter}", np.random.default_rng(seed))
+        )
+
+
+def test_a_thing_never_becomes_another_thing() -> None:
+    names = {name.replace("_", " ") for name in (*vocabulary.ANIMALS, *vocabulary.FOODS, *vocabulary.OBJECTS)}
+    for name in sorted(names):
+        for seed in range(8):
+            noisy = typed(f"the {name}", np.random.default_rng(seed)).lower()
+            rest = re.sub(r"^\W*\w+ ", "", noisy)
+            assert rest == name or rest not in names, (name, noisy)
+
+
+def test_a_number_word_stays() -> None:
+    for word in ("seven", "twelve", "twenty"):
+        assert all(word in typed(f"the number {word}", np.random.default_rng(seed)).lower() for seed in range(40))

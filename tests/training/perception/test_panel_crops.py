@@ -59,43 +59,34 @@ def test_a_glimpse_shows_its_picture_and_none_is_like_another() -> None:
     assert len(panel_images) == 20
 
 
-def test_a_crop_looks_like_the_label_that_its_attributes_name(panel_crops: PanelCrops) -> None:
+def test_a_crop_looks_like_the_label_that_its_attributes_name() -> None:
     """The nearest of a few pictures is the one that is named, for most crops."""
-    rng = np.random.default_rng(1)
-    labels = {name: picture(f"letter/{name}@inter") for name in "OILXW"}
-    ink = {name: 255 - np.asarray(image.convert("L").resize((32, 32)), float) for name, image in labels.items()}
-    right = total = 0
-    while total < 40:
-        images, attributes = panel_crops.draw(rng, 64)
-        for image, row in zip(images, attributes, strict=True):
-            name = ATTRIBUTES[row[CONCEPT]] if row[CONCEPT] >= 0 else ""
-            concept = name.rpartition(":")[2]
-            if "letter:" not in name or concept not in ink:
-                continue
-            seen = np.asarray(PillowImage.fromarray(image).convert("L").crop((5, 5, 43, 43)).resize((32, 32)), float)
-            seen = seen.max() - seen
-            near = {name: np.corrcoef(seen.ravel(), other.ravel())[0, 1] for name, other in ink.items()}
-            right += max(near, key=lambda name: near[name]) == concept
-            total += 1
-    assert right > 0.6 * total
+    labels = [f"letter/{name}@inter" for name in "OILXW"]
+    ink = {label[7]: 255 - np.asarray(picture(label).convert("L").resize((32, 32)), float) for label in labels}
+    panel_crops = PanelCrops(SIZE, INDEX.of, lambda rng: labels[rng.integers(5)])
+    right = []
+    for image, row in zip(*panel_crops.draw(np.random.default_rng(1), 40), strict=True):
+        seen = np.asarray(PillowImage.fromarray(image).convert("L").crop((5, 5, 43, 43)).resize((32, 32)), float)
+        near = {name: np.corrcoef(255 - seen.ravel(), other.ravel())[0, 1] for name, other in ink.items()}
+        right.append(max(near, key=lambda name: near[name]) == ATTRIBUTES[row[CONCEPT]].rpartition(":")[2])
+    assert np.mean(right) > 0.6
 
 
 def test_everything_there_is_to_read_comes_up(panel_crops: PanelCrops) -> None:
     rng = np.random.default_rng(2)
     counts: Counter[str] = Counter()
-    for _ in range(20):
+    for _ in range(8):
         images, attributes = panel_crops.draw(rng, 50)
-        assert images.shape == (50, SIZE, SIZE, 3)
-        assert images.dtype == np.uint8
+        assert (images.shape, images.dtype) == ((50, SIZE, SIZE, 3), np.uint8)
         counts.update(ATTRIBUTES[row[KIND]].partition("/")[2] for row in attributes)
     assert counts.keys() == {"sum", "several", "person", "thing", "letter", "number", "logo"}
-    assert min(counts.values()) > 20
+    assert min(counts.values()) > 8
 
 
 def test_many_hands_show_everything_and_what_is_not_to_be_named() -> None:
     rng = np.random.default_rng(2)
     made = PanelCrops(SIZE, INDEX.of, wider=WiderWorld())
-    drawn = [made.draw(rng, 50) for _ in range(8)]
+    drawn = [made.draw(rng, 50) for _ in range(4)]
     kinds = Counter(ATTRIBUTES[row[KIND]].partition("/")[2] for _, attributes in drawn for row in attributes)
     assert kinds.keys() == {"sum", "several", "person", "thing", "letter", "number", "logo", "unknown"}
     for images, _ in drawn:

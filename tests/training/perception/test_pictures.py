@@ -1,9 +1,10 @@
-"""Pictures for training: what is held out can never be returned, and what is held out is whole."""
+"""Pictures for training: what is held out is whole and never returned, and others are drawn in other ways."""
 
 import numpy as np
 import pytest
 
 from cognitivedrone.errors import LabelError
+from cognitivedrone.interfaces import LabelPack
 from cognitivedrone.labels import load_pack
 from cognitivedrone.labels.extended import extended_pack
 from cognitivedrone.references import PERSON_HANDS, parse_reference
@@ -11,7 +12,8 @@ from cognitivedrone.tasks import vocabulary
 from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.training.perception.panel_crops import WiderWorld, draw_known_label
 from cognitivedrone.training.perception.photographic import Photographic
-from cognitivedrone.training.perception.pictures import TrainingPictures, may_train
+from cognitivedrone.training.perception.pictures import SIDE, TrainingPictures, may_train, restyled
+from cognitivedrone.types import Image
 
 KINDS = {"animal": vocabulary.ANIMALS, "food": vocabulary.FOODS, "object": vocabulary.OBJECTS, "logo": vocabulary.LOGOS}
 HELD_OUT = set(vocabulary.HELD_OUT_PICTURE_SETS)
@@ -104,8 +106,7 @@ def test_photographic_pictures_have_the_side_and_repeat_with_the_seed(pictures, 
         cutout = pictures.draw("object", "bicycle", np.random.default_rng(seed))
         before = cutout.copy()
         picture = photographic.draw(cutout, np.random.default_rng(seed))
-        assert picture.shape == (side, side, 3)
-        assert picture.dtype == np.uint8
+        assert (picture.shape, picture.dtype) == ((side, side, 3), np.uint8)
         np.testing.assert_array_equal(picture, photographic.draw(cutout, np.random.default_rng(seed)))
         np.testing.assert_array_equal(cutout, before)
 
@@ -131,3 +132,47 @@ def test_the_wider_world_shows_people_by_others_and_prints_and_things_in_their_s
     assert np.mean(prints) == pytest.approx(wider.print_share, abs=0.12)
     things = [picture is not None for label, picture in shown if label.split("/")[0] in ("animal", "food", "object")]
     assert np.mean(things) == pytest.approx(wider.share, abs=0.12)
+
+
+@pytest.fixture(scope="module")
+def labels() -> LabelPack:
+    return load_pack("open-v1")
+
+
+def drawn(labels: LabelPack, label: str, count: int) -> list[Image]:
+    rng = np.random.default_rng(5)
+    return [restyled(label, labels.image(label), rng) for _ in range(count)]
+
+
+@pytest.mark.parametrize("label", ["animal/cat@noto", "food/apple@twemoji", "several/animal/frog=3@fluent"])
+def test_a_drawing_stays_a_drawing_on_white_and_is_never_twice_the_same(labels: LabelPack, label: str) -> None:
+    pictures = drawn(labels, label, 30)
+    assert {picture.shape for picture in pictures} == {(SIDE, SIDE, 3)}
+    assert len({picture.tobytes() for picture in pictures}) > 25
+    for picture in pictures:
+        assert (picture[[0, 0, -1, -1], [0, -1, 0, -1]] > 235).all()
+        inked = (picture.min(axis=-1) < 235).mean()
+        assert 0.05 < inked < 0.8
+
+
+def test_outlines_are_drawn_around_what_is_drawn(labels: LabelPack) -> None:
+    label = "object/key@twemoji"
+    assert not (labels.image(label).max(axis=-1) < 110).any()
+    dark = [(picture.max(axis=-1) < 110).mean() for picture in drawn(labels, label, 60)]
+    assert 0.2 < np.mean(np.array(dark) > 0.01) < 0.7
+
+
+def test_a_portrait_keeps_the_person_before_another_wall(labels: LabelPack) -> None:
+    label = "person/skin=tan,hair=afro@sky"
+    pictures = drawn(labels, label, 12)
+    assert len({tuple(picture[0, 0]) for picture in pictures}) == 12
+    faces = np.stack([picture[48:80, 48:80] for picture in pictures])
+    assert (faces == faces[0]).all()
+    assert not (labels.image(label)[0, 0] == 0).all()
+
+
+@pytest.mark.parametrize("label", ["letter/A@inter", "number/12@lora", "logo/python@color"])
+def test_glyphs_and_logos_stay_as_they_are(labels: LabelPack, label: str) -> None:
+    first, second = drawn(labels, label, 2)
+    assert first.shape == (SIDE, SIDE, 3)
+    assert (first == second).all()

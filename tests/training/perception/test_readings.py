@@ -14,7 +14,6 @@ from cognitivedrone.training.language.problems import ABSENT, ALONE, Mix, Proble
 from cognitivedrone.training.language.text_training import TextMix
 from cognitivedrone.training.perception import readings as module
 from cognitivedrone.training.perception.attributes import ATTRIBUTES, AttributeIndex
-from cognitivedrone.training.perception.panel_crops import PanelCrops
 from cognitivedrone.training.perception.readings import Bank, Readings, read_bank, readings_of
 from cognitivedrone.training.small_vla.language import described
 from cognitivedrone.training.trainer.start import read_start
@@ -190,10 +189,3 @@ def test_the_same_seed_describes_the_same() -> None:
     named = made[0]["text_named"]
     assert (named >= 0).any()
     assert ((named == -1) | ((named >= CONCEPTS.start) & (named < CONCEPTS.stop))).all()
-
-
-def test_panel_crops_of_a_taught_list_know_its_names() -> None:
-    index = AttributeIndex([name for name in ATTRIBUTES if not name.startswith("concept/letter:")])
-    crops = PanelCrops(16, index.of, lambda _: "letter/A@inter")
-    _, attributes = crops.draw(np.random.default_rng(0), 4)
-    assert (attributes[:, 0] == index.schema.names.index("kind/unknown")).all()

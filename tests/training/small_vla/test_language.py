@@ -8,19 +8,18 @@ import numpy as np
 import pytest
 import torch
 import tyro
-from quick_trainings import SCHEDULE, InProcess, train_here
+from quick_trainings import SCHEDULE, train_here
 from torch.distributed.run import parse_args
 
 from cognitivedrone.errors import TrainingError
-from cognitivedrone.models.words.text_encoder import TextEncoderModel
+from cognitivedrone.models.words.text_encoder import TextEncoderModel, encoder_of
 from cognitivedrone.training.config import TrainPlan
 from cognitivedrone.training.language.problems import NAMES, Problem, Problems
-from cognitivedrone.training.launch import ALL_RECIPES, RECIPES, command_of, run
+from cognitivedrone.training.launch import RECIPES, command_of, run
 from cognitivedrone.training.perception.attributes import AttributeIndex
 from cognitivedrone.training.perception.readings import Readings
 from cognitivedrone.training.small_vla.language import DEBUG_LANGUAGE, LanguageTraining, described, spoken
-from cognitivedrone.training.trainer import trainer
-from cognitivedrone.training.trainer.checkpoint import CHECKPOINT, METRICS, read_checkpoint, read_rows
+from cognitivedrone.training.trainer.checkpoint import METRICS, read_checkpoint, read_rows
 from cognitivedrone.training.trainer.training_task import Given, to_tensors
 
 TINY = replace(DEBUG_LANGUAGE, **SCHEDULE, batch=32, validation_sentences=100)
@@ -114,18 +113,12 @@ def test_validation_tells_families_apart(training_task: LanguageTraining, taught
     assert {"text", "text accuracy", *(f"text accuracy {name}" for name in found)} <= rows[-1].keys()
 
 
-def test_one_command_teaches_calibrates_and_exports_and_a_policy_starts_from_it(
-    selector_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(ALL_RECIPES, "language", replace(TINY, steps=2))
-    monkeypatch.setattr(trainer, "PrefetchQueue", InProcess)
-    out = tmp_path / "language"
-    path = run(TrainPlan(out, "language", start=selector_checkpoint))
-    assert path == out / "text_encoder.onnx"
-    tensors, facts = read_checkpoint(out / CHECKPOINT)
+def test_what_is_exported_is_calibrated_and_a_policy_starts_from_it(language_checkpoint: Path) -> None:
+    """As by the command, which is run for a gate selector by `reasoner_parts`."""
+    path, (tensors, facts) = encoder_of(language_checkpoint), read_checkpoint(language_checkpoint)
     assert facts["encoder"] == TextEncoderModel.load(path).digest
     assert tensors["network.language.temperature"] != 1
-    task = RECIPES["debug"].training(Given(start=out / CHECKPOINT))
+    task = RECIPES["debug"].training(Given(start=language_checkpoint))
     network = task.network()
     assert network.language is not None
     for name, value in network.language.state_dict().items():

@@ -100,9 +100,8 @@ def test_the_loss_is_finite_and_teaches_every_parameter(batch: Batch, chunk: int
         assert parameter.grad.abs().max() > 0, name
 
 
-@pytest.mark.parametrize("chunk", [1, 3])
-def test_every_part_of_the_loss_falls_on_a_batch_that_is_learned_by_heart(batch: Batch, chunk: int) -> None:
-    taught, fixed = loss_module(chunk), tensors(batch, chunk)
+def test_every_part_of_the_loss_falls_on_a_batch_that_is_learned_by_heart(batch: Batch) -> None:
+    taught, fixed = loss_module(chunk=3), tensors(batch, chunk=3)
     optimizer = torch.optim.AdamW([each for each in taught.parameters() if each.requires_grad], 0.01)
     torch.manual_seed(1)
     history = []
@@ -115,17 +114,6 @@ def test_every_part_of_the_loss_falls_on_a_batch_that_is_learned_by_heart(batch:
     for part in PARTS:
         early, late = (np.mean([row[part] for row in rows]) for rows in (history[:3], history[-3:]))
         assert late < 0.9 * early, part
-
-
-def test_a_racing_policy_learns_without_sentences(batch: Batch) -> None:
-    torch.manual_seed(0)
-    network = SmallVLA(replace(DEBUG.network, reader=None), SCHEMA)
-    deaf = {name: value for name, value in tensors(batch).items() if name != "words"}
-    total, _ = SmallVlaLosses(network)(deaf)
-    total.backward()
-    assert network.preference is not None
-    assert network.preference.weight.grad is not None
-    assert network.preference.weight.grad.any()
 
 
 def test_nothing_is_random_outside_training(batch: Batch) -> None:
@@ -315,13 +303,3 @@ def test_naming_a_concept_among_all_counts_beside_choosing(texts: dict[str, Tens
         concepts = SCHEMA.groups["concept"]
         expected = 0.3 * np.log(concepts.stop - concepts.start)
     assert float(whole - choosing) == pytest.approx(expected, abs=1e-3)
-
-
-def test_every_part_of_language_is_taught_by_sentences(texts: dict[str, Tensor]) -> None:
-    made = language()
-    loss, _ = loss_of(made, texts)
-    loss.backward()
-    for name, parameter in made.named_parameters():
-        assert parameter.grad is not None, name
-        assert parameter.grad.isfinite().all(), name
-        assert parameter.grad.abs().max() > 0, name

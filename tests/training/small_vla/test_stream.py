@@ -17,7 +17,7 @@ from cognitivedrone.models.words.text_encoder import TextEncoderModel, encoder_o
 from cognitivedrone.tasks import train_task
 from cognitivedrone.tasks.families.racing import INSTRUCTIONS
 from cognitivedrone.training.language.questions import Question, ask
-from cognitivedrone.training.launch import ALL_RECIPES, RECIPES
+from cognitivedrone.training.launch import RECIPES
 from cognitivedrone.training.perception.attributes import gate_looks
 from cognitivedrone.training.small_vla import sampling, stream
 from cognitivedrone.training.small_vla.sampling import LONGEST, NONE_IN_VIEW, Sampler, StreamRecipe
@@ -149,18 +149,6 @@ def test_a_share_of_the_flights_is_in_places_that_models_are_trained_in(monkeypa
     assert not asked
 
 
-def test_recipes_of_before_see_no_places() -> None:
-    assert {name for name, each in ALL_RECIPES.items() if _sees_places(each)} == {
-        "places",
-        "obstacles",
-        "debug-obstacles",
-    }
-
-
-def _sees_places(recipe: Any) -> bool:
-    return bool(getattr(recipe, "places", 0.0) or getattr(getattr(recipe, "stream", None), "places", 0.0))
-
-
 def test_words_are_those_of_the_encoder_and_nothing_beyond(encoder: Path) -> None:
     model, seed = TextEncoderModel.load(encoder), (1, 2)
     (told,), (encoded,) = batches(RECIPE, 1, seed), batches(RECIPE, 1, seed, encoder=encoder)
@@ -169,15 +157,6 @@ def test_words_are_those_of_the_encoder_and_nothing_beyond(encoder: Path) -> Non
         found = encoded["words"][row, column]
         np.testing.assert_allclose(found[: len(words)], words, atol=0.02)
         assert not found[len(words) :].any()
-
-
-def test_a_policy_that_hears_nothing_gets_no_words() -> None:
-    rollout_stream = RolloutStream(replace(RECIPE, suite="race"), Sampler(replace(RECIPE, suite="race"), None))
-    try:
-        batch = next(rollout_stream((1, 2)))
-    finally:
-        rollout_stream.close()
-    assert not {"words", "text"} & batch.keys()
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not(encoder: Path) -> None:
@@ -334,8 +313,7 @@ def test_typed_sentences_say_what_the_training_tasks_do_not() -> None:
 def test_a_share_of_the_flights_has_gates_at_other_places() -> None:
     def flights(share: float) -> list[Any]:
         rollout_stream = RolloutStream(
-            replace(RECIPE, layouts=share, worlds=6),
-            Sampler(replace(RECIPE, layouts=share, worlds=6), None),
+            replace(RECIPE, layouts=share, worlds=6), Sampler(replace(RECIPE, layouts=share, worlds=6), None)
         )
         try:
             next(rollout_stream((4, 2)))

@@ -2,6 +2,7 @@
 
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -132,16 +133,6 @@ def test_the_learning_rate_is_the_optimizer_s_own(saved: tuple[Path, nn.Module, 
     assert optimizer.param_groups[0]["lr"] == 0.5
 
 
-def test_weights_can_be_kept_and_taken_alone(tmp_path: Path, saved: tuple[Path, nn.Module, object]) -> None:
-    path = tmp_path / "weights.safetensors"
-    save_checkpoint(path, saved[1], None, {"step": 1})
-    tensors, _ = read_checkpoint(path)
-    assert {name.split(".")[0] for name in tensors} == {"network"}
-    other = network()
-    restore(tensors, other, None)
-    assert all(torch.equal(value, other.state_dict()[name]) for name, value in saved[1].state_dict().items())
-
-
 def test_a_checkpoint_replaces_the_one_before_and_leaves_nothing_beside(
     saved: tuple[Path, nn.Module, torch.optim.Optimizer],
 ) -> None:
@@ -154,9 +145,19 @@ def test_a_checkpoint_replaces_the_one_before_and_leaves_nothing_beside(
 # ---- what is refused
 
 
-def test_no_file(tmp_path: Path) -> None:
-    with pytest.raises(TrainingError, match=r"nothing\.safetensors: no such checkpoint"):
-        read_checkpoint(tmp_path / "nothing.safetensors")
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda path: None, r"file: no such checkpoint"),
+        (Path.mkdir, "not a whole checkpoint"),
+        (os.mkfifo, "it is a pipe, not a file"),
+    ],
+    ids=["nothing", "a folder", "a pipe"],
+)
+def test_what_is_no_file(tmp_path: Path, make: Callable[[Path], None], says: str) -> None:
+    make(tmp_path / "file")
+    with pytest.raises(TrainingError, match=says):
+        read_checkpoint(tmp_path / "file")
 
 
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 0.99])
@@ -166,11 +167,6 @@ def test_a_file_that_was_cut(saved: tuple[Path, nn.Module, object], share: float
     path.write_bytes(whole[: int(share * len(whole))])
     with pytest.raises(TrainingError, match=r"not a whole checkpoint .*delete it or take an earlier one"):
         read_checkpoint(path)
-
-
-def test_a_folder(tmp_path: Path) -> None:
-    with pytest.raises(TrainingError, match="not a whole checkpoint"):
-        read_checkpoint(tmp_path)
 
 
 @pytest.mark.parametrize("metadata", [None, {"format": "pt"}, {"cognitivedrone": "no JSON"}])
@@ -213,12 +209,6 @@ def test_a_checkpoint_of_an_older_version_is_read(saved: tuple[Path, nn.Module, 
     path = saved[0]
     save_file(load_file(path), path, metadata={"cognitivedrone": json.dumps({"format": FORMAT, **FACTS})})
     assert read_checkpoint(path)[1] == {"format": FORMAT, **FACTS}
-
-
-def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(TrainingError, match="it is a pipe, not a file"):
-        read_checkpoint(tmp_path / "pipe")
 
 
 @pytest.mark.parametrize(

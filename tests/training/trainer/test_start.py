@@ -51,14 +51,10 @@ def test_checkpoints_tell_what_they_are(
     ("given", "part", "found"),
     [
         ("reader", "policy", "a reader; expected that of a policy"),
-        ("reader", "selector", "a reader; expected that of a selector"),
         ("policy", "selector", "a policy; expected that of a selector"),
-        ("selector", "policy", "a selector; expected that of a policy"),
         ("selector", "reader", "a selector; expected that of a reader"),
         ("selector", "language", "a selector; expected that of a language"),
-        ("reader", "language", "a reader; expected that of a language"),
         ("language", "policy", "a language; expected that of a policy"),
-        ("language", "selector", "a language; expected that of a selector"),
     ],
 )
 def test_a_checkpoint_of_another_kind_is_no_start(given, part, found, request: pytest.FixtureRequest) -> None:
@@ -172,9 +168,3 @@ def test_a_model_file_of_another_kind_is_no_start(tmp_path: Path) -> None:
         with pytest.raises(TrainingError, match="is a model of kind") as told:
             read_start(path, part)  # type: ignore[arg-type]
         assert "\n" not in str(told.value)
-
-
-@pytest.mark.parametrize("name", ["none.onnx", "none.safetensors"])
-def test_a_start_that_is_not_there(tmp_path: Path, name: str) -> None:
-    with pytest.raises(TrainingError, match=r"no model file|no such checkpoint"):
-        read_start(tmp_path / name, "policy")

@@ -1,18 +1,22 @@
-"""Training from a data set: its frames, its actions, its splits, and a training that has seen nothing else."""
+"""How a policy is trained: flying alone, or from a data set, whose frames, actions and splits it sees."""
 
+import shutil
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
-from quick_trainings import train_here
+import torch
+from quick_trainings import SCHEDULE, train_here
 
-from cognitivedrone.collect.collector import CollectPlan, collect
-from cognitivedrone.collect.recipe import RECIPES as COLLECTED
 from cognitivedrone.data.store import Store
-from cognitivedrone.errors import TrainingError
-from cognitivedrone.training.launch import RECIPES
+from cognitivedrone.errors import ModelError, TrainingError
+from cognitivedrone.models.words.text_encoder import FILE
+from cognitivedrone.training.launch import RECIPES, find_recipe
+from cognitivedrone.training.small_vla import export
+from cognitivedrone.training.small_vla.export import load_trained
+from cognitivedrone.training.small_vla.policy import FLIGHT
 from cognitivedrone.training.small_vla.stream import Recorded
 from cognitivedrone.training.trainer.checkpoint import read_checkpoint
 from cognitivedrone.training.trainer.training_task import Given
@@ -77,18 +81,36 @@ def test_a_training_from_a_data_set_says_so_and_does_not_go_on_with_another(
         train_here(tmp_path / "run", recipe.training(Given(start=language_checkpoint)), resume=True)
 
 
-def test_a_learners_relabelled_flights_are_a_data_set_too(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, language_checkpoint: Path
-) -> None:
-    recipe = replace(COLLECTED["debug"], kicks_per_s=0.0, time_limit_s=1.0)
-    monkeypatch.setitem(COLLECTED, "debug", recipe)
-    folder = tmp_path / "dagger"
-    config = CollectPlan.of(
-        out=folder, recipe="debug", episodes=4, workers=1, episodes_per_shard=2, policy="hover", beta=0.2
-    )
-    collect(config, progress=False)
-    short = replace(RECIPES["debug"], steps=2, fly_every=0)
-    path = train_here(tmp_path / "run", short.training(Given(start=language_checkpoint, data=folder)))
-    tensors, facts = read_checkpoint(path)
-    assert facts["data"].endswith(f"store {Store(folder).content_hash()}")
-    assert all(value.isfinite().all() for value in tensors.values())
+_STREAM = replace(RECIPES["debug"].stream, layouts=0.8)
+TINY = replace(FLIGHT, **SCHEDULE, stream=_STREAM, validation_frames=8)
+
+
+def test_only_flying_learns(policy_checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    task = TINY.training(Given(start=policy_checkpoint))
+    checkpoint = train_here(tmp_path / "flown", task)
+    network, start = load_trained(checkpoint)
+    before, known = load_trained(policy_checkpoint)
+    assert start.facts["encoder"] == known.facts["encoder"] != ""
+    assert start.facts["data"] == "from debug, step 6, seed 0"
+    after = network.state_dict()
+    changed = {
+        name.partition(".")[0] for name, value in before.state_dict().items() if not torch.equal(value, after[name])
+    }
+    assert changed == {"finder", "flight"}
+    # What is written of a policy is looked at in test_export; here it is for whom.
+    written: list[tuple[str, Path]] = []
+    monkeypatch.setattr(export, "write_policy", lambda _, encoder, *others, **__: written.append((encoder, others[2])))
+    task.export(checkpoint, tmp_path)
+    assert written == [(known.facts["encoder"], tmp_path / "model.onnx")]
+    assert (tmp_path / FILE).read_bytes() == (policy_checkpoint.parent / FILE).read_bytes()
+
+
+def test_a_policy_without_its_text_encoder_is_not_trained_further(policy_checkpoint: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copy(policy_checkpoint, tmp_path))
+    with pytest.raises(ModelError, match=r"was trained with another text encoder than|there is no model file"):
+        TINY.training(Given(start=path)).facts()
+
+
+def test_it_is_a_recipe_that_needs_a_policy() -> None:
+    assert find_recipe("flight") is FLIGHT
+    assert FLIGHT.stream.layouts > RECIPES["small"].stream.layouts
