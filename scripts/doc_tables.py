@@ -56,7 +56,10 @@ PAST_OBSTACLES = (
     "{smallest_passed_m:.2f} m",
     "{spl:.2f}",
 )
-PILOTS_AND_BASELINES = ("r1", "small", "colour_seeker_oracle", "colour_seeker", "cloned", "race", "oracle", "hover")
+PILOTS_AND_BASELINES = (
+    *("r1", "small", "colour_seeker_oracle", "colour_seeker"),
+    *("cloned", "act", "race", "oracle", "hover"),
+)
 
 FLOWN: Final = frozenset(
     (
@@ -73,7 +76,9 @@ TABLES: Final[dict[str, Description]] = {
     # docs/audit.md
     "leaderboard": leaderboard_table,
     # docs/own_policy.md
-    "cloned": by_suite(("cloned", "race", "small"), ("open-v1:test", "open-v2:layouts", "open-v1:unseen")),
+    "cloned": by_suite(
+        ("cloned", "act", "learnt", "race", "small"), ("open-v1:test", "open-v2:layouts", "open-v1:unseen")
+    ),
     # docs/scores.md
     "paper": paper,
     "held-out": by_suite(PILOTS_AND_BASELINES, HELD_OUT),

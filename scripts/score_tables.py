@@ -19,6 +19,8 @@ PILOTS = {
     "colour_seeker_oracle": "`colour_seeker` with gold directives (`--reasoner oracle`): flies, need not choose",
     "colour_seeker": "`colour_seeker` with the raw instruction: chooses at random",
     "cloned": "Stable-Baselines3's own network, cloned from 600 flights (`benchmarks/cloning.py`)",
+    "act": "LeRobot's ACT, from the same 600 flights ([commands](own_policy.md#with-other-peoples-training))",
+    "learnt": "Stable-Baselines3's PPO from the privileged state, told the right gate (`benchmarks/ppo.py`)",
     "race": "`race`: the paper's baseline, without language: flies at the middle one of three gates",
     "oracle": "`oracle`: uses privileged state",
     "hover": "`hover`: stays where it is",

@@ -283,7 +283,7 @@ def flight(peer: Peer, url: str, out: Path, policy: str = "hover", **options: ob
 
 @pytest.mark.parametrize(
     ("number", "climbing"),
-    [(signal.SIGHUP, False), (signal.SIGTERM, True)],
+    [(signal.SIGHUP, False), pytest.param(signal.SIGTERM, True, marks=pytest.mark.slow)],
 )
 def test_a_terminal_that_goes_away_and_a_request_to_terminate_land_and_leave_a_log(tmp_path, number, climbing):
     with playing(climbs=not climbing) as peer, camera() as url:
@@ -304,6 +304,7 @@ def test_a_terminal_that_goes_away_and_a_request_to_terminate_land_and_leave_a_l
     assert reason == ("the terminal has gone" if number == signal.SIGHUP else "asked to terminate")
 
 
+@pytest.mark.slow
 def test_a_second_ctrl_c_ends_the_command_once_the_drone_is_down(tmp_path, monkeypatch):
     """Also where the policy is in foreign code: the rules of safety land, and then nothing is waited for."""
     monkeypatch.setenv(stuck_pilots.FILE, str(tmp_path / "stuck"))
@@ -345,6 +346,7 @@ def test_a_policy_that_hangs_does_not_keep_the_process_after_the_landing(tmp_pat
     assert pq.read_table(tmp_path / "f" / "steps.parquet").num_rows >= 3
 
 
+@pytest.mark.slow
 def test_the_right_gate_ends_a_flight_of_arducopter_and_lands_it(tmp_path):
     summary = flown(
         link="sitl", policy="oracle", reasoner="none", sitl=played_arducopter(tmp_path), airframe="iris",

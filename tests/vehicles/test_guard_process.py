@@ -248,7 +248,8 @@ def stopped(peer: Peer) -> bool:
 
 @pytest.mark.parametrize("guard", [False, True], ids=["pilot process", "guard"])
 @pytest.mark.parametrize(
-    ("number", "climbing"), [(signal.SIGHUP, False), (signal.SIGTERM, True), (signal.SIGINT, False)]
+    ("number", "climbing"),
+    [(signal.SIGHUP, False), (signal.SIGTERM, True), pytest.param(signal.SIGINT, False, marks=pytest.mark.slow)],
 )
 def test_a_signal_to_the_pilot_process_or_the_guard_lands_in_climb_and_flight(number, climbing, guard):
     with playing(climbs=not climbing) as peer, pilot(peer, rules=PATIENT) as process:
