@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from cognitivedrone.errors import ModelError, TrainingError
+from cognitivedrone.models.mind import LANGUAGE_FILE, Mind
 from cognitivedrone.models.words.concepts import CONCEPTS_FILE, Concepts, ConceptsModel, evidence
 from cognitivedrone.models.words.text_encoder import TextEncoderModel
 
@@ -84,6 +85,19 @@ def test_evidence_is_for_the_panel_that_shows_what_fits():
     told = evidence(shares, np.array([0.2, 0.6, 0.1], np.float32))
     assert told.argmax() == 1
     assert told == pytest.approx(np.log([0.1, 0.8, 1 / 3]), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("sentence", "says"),
+    [("Fly to the camera", True), ("Fly to any animal", False), ("any object that is not alive and no food", False)],
+)
+def test_concepts_say_nothing_of_any_of_a_kind(sentence, says):
+    mind = Mind.of(PACKAGED.parent / "small" / LANGUAGE_FILE)
+    panels = np.zeros((3, len(mind.attributes.names)), np.float32)
+    for panel, thing in zip(panels, ("zebra", "camera", "guitar"), strict=True):
+        panel[[mind.attributes.names.index(name) for name in ("kind/thing", f"concept/thing:{thing}")]] = 1.0
+    told = mind.evidence(sentence, panels, np.full((3, 1000), 1e-3, np.float32))
+    assert told.argmax() == 1 if says else not told.any()
 
 
 def test_a_table_that_another_encoder_read_is_refused(model):

@@ -15,6 +15,7 @@ of the gates is chosen.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -36,6 +37,7 @@ FORMER_LANGUAGES: Final = {"reasoner-language": "a language of an earlier kind, 
 _ANY = 1
 _DENIED = 0.9  # how surely a gate that shows what is denied is not meant
 _FAINT = 1e-4  # share of a thing that is not ruled out
+_ANY_OF = re.compile(r"\bany (?:animals?|foods?|objects?)\b", re.IGNORECASE)
 _OF_THINGS = ("kind/thing", "kind/unknown")
 _LOOKS: Final[list[str]] = [*COLORS, *SHAPES, *SIZES]
 _MISTAKEN = np.array([1e-3] * len(COLORS) + [0.1] * len(SHAPES) + [0.2] * len(SIZES), np.float32)
@@ -115,9 +117,11 @@ class Mind:
     def evidence(self, instruction: str, panels: Floats, classes: Floats | None) -> Floats:
         """(3,) log-odds of each gate against the mean of them, of what is seen on panels (3, F), and by the photograph
         network's classes (3, C). What the sentence says it does not mean counts against a gate that shows it. Zero
-        where nobody asked the network, panels show no things, or the sentence names looks alone.
+        where nobody asked the network, panels show no things, or the sentence names looks alone or any of a kind: to
+        the concepts, a balloon is as much of an animal as a penguin.
         """
-        if classes is None or self.concepts is None or not self._shows_things(panels) or looks_asked(instruction):
+        says_nothing = looks_asked(instruction) is not None or _ANY_OF.search(instruction) is not None
+        if classes is None or self.concepts is None or says_nothing or not self._shows_things(panels):
             return np.zeros(len(panels), np.float32)
         shares = panels[:, list(self.attributes.things)] + _FAINT
         shares /= shares.sum(axis=1, keepdims=True)
