@@ -70,7 +70,7 @@ class Scripted:
         return Weighed(np.zeros(4, np.float32), np.zeros(3, np.float32))
 
     def evidence(self, instruction, panels, classes):
-        return np.zeros(3, np.float32)
+        return np.zeros(len(panels), np.float32)
 
 
 @pytest.fixture
@@ -209,10 +209,20 @@ def test_only_the_latest_stages_are_remembered(made):
     assert parts.asked[-1].context.count("flew to B") == STAGES
 
 
-def test_it_says_when_not_all_gates_are_found(made):
-    with pytest.raises(ReasonerError, match="only 2 of 3 gates") as error:
-        made(Scripted(reading_of(LETTERS, scores=(1, 1, 0.1)))).refine(FRAME, "go")
-    assert error.value.kind == "unsure"
+def test_it_says_when_not_all_gates_are_found_and_then_chooses_among_two(made):
+    parts = Scripted(*[reading_of(LETTERS, scores=(1, 0.1, 1))] * 4, answer=(0.1, 0.6, 0.2, 0.1))
+    reasoner = made(parts)
+    for _ in range(3):
+        with pytest.raises(ReasonerError, match="only 2 of 3 gates") as error:
+            reasoner.refine(FRAME, "go")
+        assert error.value.kind == "unsure"
+    guidance = reasoner.refine(FRAME, "go")
+    assert (guidance.directive, guidance.gate) == ("Fly through the big blue triangle gate", 1)
+    assert [gate.partition(";")[0] for gate in parts.asked[0].gates][1:] == [
+        "middle gate, big blue triangle",
+        "right gate, big green round",  # nothing is there, and no colour is there twice
+    ]
+    assert [panel.right for panel in reasoner.seen] == pytest.approx(beside_none(0.1, 0.6, 0.1)[:2], abs=1e-3)
 
 
 def test_missing_files_are_said(tmp_path):

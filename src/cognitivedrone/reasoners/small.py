@@ -41,6 +41,7 @@ _SELECTOR, _LANGUAGE, _EVIDENCE = 0.8, 0.2, 0.5  # weights of opinions; set, not
 _LEAST = 1e-6  # share of an answer that is not ruled out
 _SAID = 4  # readings of a panel for displays
 _LEGIBLE_PX = 8.0  # panels lower than this are illegible
+_FRAMES = 4  # of a stage, after which two gates are all that there are
 
 Floats = NDArray[np.float32]
 
@@ -67,6 +68,7 @@ class _Stage:
     board: Floats
     """Attributes of the board, weighted as a gate's."""
     board_weight: float = 0.0
+    frames: int = 0
     gates: dict[int, _Gate] = field(default_factory=dict)
     """By colour."""
     chosen: int | None = None
@@ -151,13 +153,13 @@ class SmallReasoner(Reasoner):
         """The directive for the selected gate, from all frames of this stage so far.
 
         It declines where most likely no gate matches the instruction. Raises `ReasonerError` if fewer than three gates
-        have been seen, or no answer is likely: then the policy knows no less.
+        have been seen, after some frames fewer than two, or no answer is likely: then the policy knows no less.
         """
         self.look(image)
         gates = _by_place(self._stage)
         _, scene, classes = self.read()
         self.seen = self._seen(gates, scene.panels)
-        if len(gates) < 3:
+        if len(gates) < (3 if self._stage.frames < _FRAMES else 2):
             raise ReasonerError("unsure", f"only {len(gates)} of 3 gates have been in view")
         chosen = self.decide(instruction, scene, classes)
         self.seen = tuple(replace(panel, right=float(p)) for panel, p in zip(self.seen, chosen, strict=False))
@@ -177,6 +179,7 @@ class SmallReasoner(Reasoner):
 
     def look(self, image: Image) -> None:
         """Add the readings of a frame (256, 256, 3) to those of the stage."""
+        self._stage.frames += 1
         sight = self.eyes.see(image[None])
         assert sight.readings is not None and sight.boxes is not None  # noqa: S101, PT018  (eyes that read)
         known, boxes, looks = sight.readings[0], sight.boxes[0], sight.looks[0]
@@ -218,8 +221,8 @@ class SmallReasoner(Reasoner):
         return colors, scene, None if self._opinions is None else self._opinions.classes(colors)
 
     def decide(self, instruction: str, scene: ReadScene, classes: Floats | None = None) -> Floats:
-        """Probabilities (4,) of the gates and of none, for what was read and, per panel, the photograph network's
-        classes (3, C).
+        """Probabilities (n + 1,) of n gates, two or three, and of none, for what was read and, per panel, the
+        photograph network's classes (n, C). Networks that weigh three gates see an empty one in place of the third.
 
         Where the sentence names a gate by its looks alone, nothing but the looks decides. Else four opinions are
         multiplied: the selector's, which reads the scene in words and alone knows how gates compare; a quarter as
@@ -228,12 +231,19 @@ class SmallReasoner(Reasoner):
         """
         if (asked := looks_asked(instruction)) is not None:
             return _alone(fits_of(asked, scene.looks))
-        text = self._writer.write(instruction, scene)
+        seen, count = scene, len(scene.panels)
+        if count < 3:
+            blank = np.zeros((1, LOOKS), np.float32)
+            blank[0, scene.looks[:, : len(COLORS)].sum(axis=0).argmin()] = 1.0  # no gate has the colour of another
+            panels = np.concatenate([scene.panels, np.zeros((1, self._size), np.float32)])
+            seen = replace(scene, panels=panels, looks=np.concatenate([scene.looks, blank]))
+        text = self._writer.write(instruction, seen)
         if text != self._answered[0]:  # the selector costs most, and is asked again only when the scene reads otherwise
             self._answered = text, self.selector.choose(text)
-        heard = self.mind.weigh(instruction, scene.panels, scene.looks, scene.board).match
+        heard = self.mind.weigh(instruction, seen.panels, seen.looks, seen.board).match
         told = _SELECTOR * np.log(self._answered[1] + _LEAST) + _LANGUAGE * np.log(shares_of(heard) + _LEAST)
-        told[:3] += _EVIDENCE * self.mind.evidence(instruction, scene.panels, classes)
+        told = np.delete(told, slice(count, 3))
+        told[:count] += _EVIDENCE * self.mind.evidence(instruction, scene.panels, classes)
         chosen: Floats = shares_of(told)
         return chosen
 
