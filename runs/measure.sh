@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Every figure of the docs that depends on the packaged weights, measured again, the most looked at first.
 #
-#   runs/measure.sh [OUT] [--only scores|reasoner|missions|audits|speed]
+#   runs/measure.sh [OUT] [--only scores|reasoner|missions|audits|speed|seeds]
 #
 # Hours on two cores; every part, and every suite in it, goes on where it was stopped when it is started again. Everything
 # goes to OUT (default: out/measure), then OUT/results/*.json to results/ and from there into the pages. Refuses to start
@@ -17,8 +17,8 @@ while (($#)); do
     *) out=$1; shift ;;
   esac
 done
-case $only in all | scores | reasoner | missions | audits | speed) ;;
-  *) echo "--only is $only; it must be scores, reasoner, missions, audits or speed" >&2; exit 2 ;;
+case $only in all | scores | reasoner | missions | audits | speed | seeds) ;;
+  *) echo "--only is $only; it must be scores, reasoner, missions, audits, speed or seeds" >&2; exit 2 ;;
 esac
 policy=${POLICY:-small} reasoner=${REASONER:-small} race=${RACE:-race} size=${SIZE:-full}
 python=${PYTHON:-python3}
@@ -133,6 +133,17 @@ if wanted speed && [[ $size == full ]]; then
   measure first_score first_score "$python"
   measure serving serving
   measure ratios ratios
+fi
+
+# results/small_seed_N.json: what the seed of a training changes.
+if wanted seeds && [[ $size == full ]]; then
+  for seed in 1 2 3; do
+    [[ -e $out/seeds/$seed/model.onnx ]] ||
+      cognitivedrone train --recipe flight --start "$policy" --seed "$seed" --steps 600 --processes 2 --resume --out "$out/seeds/$seed"
+    for suite in open-v1:test open-v1:unseen; do
+      bench "small_seed_$seed" "$suite" --policy "small:$out/seeds/$seed/model.onnx"
+    done
+  done
 fi
 
 submitted() { # PILOT NAME

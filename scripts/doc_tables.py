@@ -84,6 +84,7 @@ TABLES: Final[dict[str, Description]] = {
     "held-out": by_suite(PILOTS_AND_BASELINES, HELD_OUT),
     "opened-last": by_suite(("r1", "small"), OPENED_LAST),
     "in-distribution": by_suite(PILOTS_AND_BASELINES, (*DRAWN_ANEW, *MORE, "open-v1:race")),
+    "seeds": by_suite(("small", "small_seed_1", "small_seed_2", "small_seed_3"), ("open-v1:test", "open-v1:unseen")),
     "conditions": other_conditions("r1", "small", "oracle"),
     "scores": all_runs,
     "speed": lines_of(

@@ -26,6 +26,7 @@ PILOTS = {
     "hover": "`hover`: stays where it is",
     "random": "`random`: a new random velocity every second",
     "small_oracle": "`small` with `--reasoner oracle`: from gold directives",
+    **{f"small_seed_{seed}": f"`small`, its flying trained on with seed {seed}" for seed in (1, 2, 3)},
 }
 """Files of submissions, and how tables name the pilots."""
 HELD_OUT = ("open-v2:words", "open-v2:pictures", "open-v1:unseen", "open-v2:layouts", "open-v2:absent")
@@ -247,6 +248,7 @@ def latencies(store: Store) -> Table:
     """R1 against its reasoner's latency."""
     points: dict[float, Score] = {}
     for run in store.runs("r1_latency"):
+        store.former |= {"`r1_latency`": None} if is_former(run) else {}
         parts = dict(part.split("=") for part in str(run.run.option("latency")).split(","))
         points[float(parts["reasoner"].removesuffix("ms"))] = run.summary.overall
     heads = ["reasoner latency, ms", *(f"{ms:,.0f}" for ms in sorted(points))]

@@ -108,7 +108,10 @@ def test_a_tutorial_works_from_top_to_bottom(name, tmp_path):
     ran = 0
     for block in blocks_of((DOCS / "tutorials" / f"{name}.md").read_text()):
         if block.title:
+            (tmp_path / block.title).parent.mkdir(parents=True, exist_ok=True)
             (tmp_path / block.title).write_text(block.text)
+            if block.title.startswith("src/"):  # of the package itself: that it can be imported
+                run([block.title], tmp_path)
         elif block.not_run:
             continue
         elif block.language == "python":
