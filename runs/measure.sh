@@ -120,7 +120,6 @@ if wanted audits; then
   if [[ $size == full ]]; then
     cognitivedrone audit --policy "$policy" --out "$out/audit/small"
     cognitivedrone audit --policy "$race" --out "$out/audit/race"
-    cognitivedrone audit "${r1[@]}" --out "$out/audit/r1_300" --episodes 300 --only "no question"
     cognitivedrone sweep "${r1[@]}" --suite open-v1:hard --out "$out/scores/r1_latency"
   fi
 fi

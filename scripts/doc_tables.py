@@ -63,7 +63,7 @@ PILOTS_AND_BASELINES = (
 
 FLOWN: Final = frozenset(
     (
-        *("audit_r1", "audit_r1_300", "audit_race", "audit_small", "clutter", "first_score"),
+        *("audit_r1", "audit_race", "audit_small", "clutter", "first_score"),
         *("gates", "harnesses", "inference", "live_page", "losses", "missions", "moving", "photographs"),
         *("ratios", "real_time", "reasoner_alone", "say", "serving", "swaying", "teaching", "teaching_20"),
     )

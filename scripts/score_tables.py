@@ -301,7 +301,7 @@ def paper(store: Store) -> Table:
 
 def audits(store: Store) -> Table:
     """Rates under every change, of the packaged pilots."""
-    runs = {"R1": "audit_r1", "`small`": "audit_small", "`race`": "audit_race", "R1, 300 tasks": "audit_r1_300"}
+    runs = {"R1": "audit_r1", "`small`": "audit_small", "`race`": "audit_race"}
     pilots = {title: store.measured_rows(name) for title, name in runs.items()}
     variants = dict.fromkeys((row["audit"], row["variant"]) for rows in pilots.values() for row in rows)
     rows = []
