@@ -209,20 +209,37 @@ def test_only_the_latest_stages_are_remembered(made):
     assert parts.asked[-1].context.count("flew to B") == STAGES
 
 
-def test_it_says_when_not_all_gates_are_found_and_then_chooses_among_two(made):
-    parts = Scripted(*[reading_of(LETTERS, scores=(1, 0.1, 1))] * 4, answer=(0.1, 0.6, 0.2, 0.1))
+@pytest.mark.parametrize(
+    ("there", "answer", "directive", "others"),
+    [
+        (
+            (1, 0.1, 1),
+            (0.1, 0.6, 0.2, 0.1),
+            "Fly through the big blue triangle gate",
+            ["big blue triangle", "big green round"],
+        ),
+        (
+            (1, 0.1, 0.1),
+            (0.6, 0.1, 0.2, 0.1),
+            "Fly through the big red round gate",
+            ["big green round", "big blue round"],
+        ),
+    ],
+)
+def test_it_says_when_not_all_gates_are_found_and_then_chooses_among_those(made, there, answer, directive, others):
+    parts = Scripted(*[reading_of(LETTERS, scores=there)] * 4, answer=answer)
     reasoner = made(parts)
     for _ in range(3):
-        with pytest.raises(ReasonerError, match="only 2 of 3 gates") as error:
+        with pytest.raises(ReasonerError, match=r"only \d of 3 gates") as error:
             reasoner.refine(FRAME, "go")
         assert error.value.kind == "unsure"
     guidance = reasoner.refine(FRAME, "go")
-    assert (guidance.directive, guidance.gate) == ("Fly through the big blue triangle gate", 1)
-    assert [gate.partition(";")[0] for gate in parts.asked[0].gates][1:] == [
-        "middle gate, big blue triangle",
-        "right gate, big green round",  # nothing is there, and no colour is there twice
-    ]
-    assert [panel.right for panel in reasoner.seen] == pytest.approx(beside_none(0.1, 0.6, 0.1)[:2], abs=1e-3)
+    count = len(reasoner.seen)
+    assert (guidance.directive, guidance.gate) == (directive, count - 1)
+    shown = [gate.partition(";")[0].partition(", ")[2] for gate in parts.asked[0].gates]
+    assert shown[1:] == others  # nothing is where there is no gate, and no colour is there twice
+    right = beside_none(*answer[:count], answer[3])[:count]
+    assert [panel.right for panel in reasoner.seen] == pytest.approx(right, abs=1e-3)
 
 
 def test_missing_files_are_said(tmp_path):

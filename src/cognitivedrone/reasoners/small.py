@@ -41,7 +41,7 @@ _SELECTOR, _LANGUAGE, _EVIDENCE = 0.8, 0.2, 0.5  # weights of opinions; set, not
 _LEAST = 1e-6  # share of an answer that is not ruled out
 _SAID = 4  # readings of a panel for displays
 _LEGIBLE_PX = 8.0  # panels lower than this are illegible
-_FRAMES = 4  # of a stage, after which two gates are all that there are
+_FRAMES = 4  # of a stage, after which the gates that were seen are all that there are
 
 Floats = NDArray[np.float32]
 
@@ -153,13 +153,13 @@ class SmallReasoner(Reasoner):
         """The directive for the selected gate, from all frames of this stage so far.
 
         It declines where most likely no gate matches the instruction. Raises `ReasonerError` if fewer than three gates
-        have been seen, after some frames fewer than two, or no answer is likely: then the policy knows no less.
+        have been seen, after some frames none, or no answer is likely: then the policy knows no less.
         """
         self.look(image)
         gates = _by_place(self._stage)
         _, scene, classes = self.read()
         self.seen = self._seen(gates, scene.panels)
-        if len(gates) < (3 if self._stage.frames < _FRAMES else 2):
+        if len(gates) < (3 if self._stage.frames < _FRAMES else 1):
             raise ReasonerError("unsure", f"only {len(gates)} of 3 gates have been in view")
         chosen = self.decide(instruction, scene, classes)
         self.seen = tuple(replace(panel, right=float(p)) for panel, p in zip(self.seen, chosen, strict=False))
@@ -221,8 +221,8 @@ class SmallReasoner(Reasoner):
         return colors, scene, None if self._opinions is None else self._opinions.classes(colors)
 
     def decide(self, instruction: str, scene: ReadScene, classes: Floats | None = None) -> Floats:
-        """Probabilities (n + 1,) of n gates, two or three, and of none, for what was read and, per panel, the
-        photograph network's classes (n, C). Networks that weigh three gates see an empty one in place of the third.
+        """Probabilities (n + 1,) of n gates, up to three, and of none, for what was read and, per panel, the
+        photograph network's classes (n, C). Networks that weigh three gates see empty ones in place of others.
 
         Where the sentence names a gate by its looks alone, nothing but the looks decides. Else four opinions are
         multiplied: the selector's, which reads the scene in words and alone knows how gates compare; a quarter as
@@ -231,12 +231,11 @@ class SmallReasoner(Reasoner):
         """
         if (asked := looks_asked(instruction)) is not None:
             return _alone(fits_of(asked, scene.looks))
-        seen, count = scene, len(scene.panels)
-        if count < 3:
-            blank = np.zeros((1, LOOKS), np.float32)
-            blank[0, scene.looks[:, : len(COLORS)].sum(axis=0).argmin()] = 1.0  # no gate has the colour of another
-            panels = np.concatenate([scene.panels, np.zeros((1, self._size), np.float32)])
-            seen = replace(scene, panels=panels, looks=np.concatenate([scene.looks, blank]))
+        count, blank = len(scene.panels), np.zeros((3 - len(scene.panels), LOOKS), np.float32)
+        colors = np.argsort(scene.looks[:, : len(COLORS)].sum(axis=0))  # no gate has the colour of another
+        blank[np.arange(3 - count), colors[: 3 - count]] = 1.0
+        panels = np.concatenate([scene.panels, np.zeros((3 - count, self._size), np.float32)])
+        seen = replace(scene, panels=panels, looks=np.concatenate([scene.looks, blank]))
         text = self._writer.write(instruction, seen)
         if text != self._answered[0]:  # the selector costs most, and is asked again only when the scene reads otherwise
             self._answered = text, self.selector.choose(text)
