@@ -38,6 +38,7 @@ CAMERA, CHASE = b"c", b"v"
 _STALE_S: Final = 0.5  # a stick that says nothing for so long is let go
 _EVENTS: Final = 60
 _LATENCY_STEPS: Final = 20
+_END_S: Final = 5.0  # then the page's thread is left behind: it must not keep a command that was told to end
 
 
 class Sticks:
@@ -123,9 +124,9 @@ class LiveBoard:
             self.events.append(event)
 
     def close(self) -> None:
-        """End the page's thread."""
+        """End the page's thread, which may be waiting for the process that draws, or for one that starts."""
         self._stopping.set()
-        self._thread.join()
+        self._thread.join(_END_S)
 
 
 class _Painter:
