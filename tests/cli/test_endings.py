@@ -208,3 +208,24 @@ with ending_in_order():
 """
     with started(tmp_path, "-c", code) as process:
         assert ending(process) == (0, "True\n")
+
+
+def test_a_signal_during_a_finalizer_is_not_lost(tmp_path):
+    """Python raises nothing of what a finalizer raises; the import system has such callbacks, too."""
+    code = """
+import os, signal, time
+from cognitivedrone.system.interrupts import ending_in_order
+class Opened:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+        print("not reached")
+with ending_in_order():
+    try:
+        opened = Opened()
+        del opened
+        time.sleep(20)
+    except KeyboardInterrupt as stop:
+        print(stop)
+"""
+    with started(tmp_path, "-c", code) as process:
+        assert ending(process) == (0, "asked to terminate\n")

@@ -10,10 +10,12 @@ equal. Where it is not active in the main thread, every `KeyboardInterrupt` ther
 
 from __future__ import annotations
 
+import functools
 import os
 import signal
 import socket
 import stat
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -27,6 +29,8 @@ STOPPED: Final = 130
 """Exit code of a command that one of them ended."""
 GRACE_S: Final = 5.0
 """For foreign code to come back to Python after SIGTERM."""
+_LOST: Final = 0  # in place of a signal's number, for one whose exception was lost
+_AGAIN_S: Final = 0.05
 _SHOW_CURSOR: Final = b"\x1b[?25h"  # progress bars hide it
 
 Handler = Callable[[int, FrameType | None], object]
@@ -162,6 +166,19 @@ def _raise_first(number: int, _: FrameType | None) -> None:
         raise KeyboardInterrupt(*([] if number == signal.SIGINT else [ENDED[number]]))
 
 
+def _keep(writing: socket.socket, otherwise: Callable[[Any], object], lost: Any) -> None:
+    """A hook for exceptions in finalizers and in callbacks of weak references, which Python raises nowhere.
+
+    Imports have such callbacks. A `KeyboardInterrupt` is raised again, when this has returned.
+    """
+    global _count
+    if lost.exc_type is KeyboardInterrupt:
+        writing.send(bytes([_LOST]))
+        _count = 0
+    else:
+        otherwise(lost)
+
+
 @contextmanager
 def _listening() -> Iterator[None]:
     """In the block, a thread learns of every signal, from the kernel and not from the main thread."""
@@ -174,9 +191,12 @@ def _listening() -> Iterator[None]:
         before = signal.set_wakeup_fd(writing.fileno(), warn_on_full_buffer=False)
         thread = threading.Thread(target=_listen, args=(reading,), name="signals", daemon=True)
         thread.start()
+        otherwise = sys.unraisablehook
+        sys.unraisablehook = functools.partial(_keep, writing, otherwise)
         try:
             yield
         finally:
+            sys.unraisablehook = otherwise
             signal.set_wakeup_fd(before)
             writing.close()
             thread.join()
@@ -195,6 +215,9 @@ def _listen(reading: socket.socket) -> None:
             continue
         if not numbers:
             return
+        if _LOST in numbers:
+            time.sleep(_AGAIN_S)
+            os.kill(os.getpid(), signal.SIGTERM)
         for number in filter(ENDED.__contains__, numbers):
             came += 1
             _let_the_kernel_end()
