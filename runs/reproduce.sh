@@ -14,9 +14,9 @@
 #   cp OUT/results/*.json results/ && python scripts/render_tables.py
 #
 # Before the script: ARDUCOPTER=path/to/arducopter measures what needs that program, LESSON=FOLDER a lesson with labels/
-# and tasks/, and one with the pictures in few/, PHOTOGRAPHS=FOLDER flights past pictures named after known things, GPU=1
-# what only a graphics card can show, HARNESSES=1 the flights under vla-eval and LeRobot, whichever is installed
-# (docs/gymnasium.md), SYSTEMS="FOLDER ..." the README's commands in folders of whole systems (benchmarks/systems.py).
+# and tasks/, and one with the pictures in few/, GPU=1 what only a graphics card can show, HARNESSES=1 the flights
+# under vla-eval and LeRobot, whichever is installed (docs/gymnasium.md), SYSTEMS="FOLDER ..." the README's commands in
+# folders of whole systems (benchmarks/systems.py).
 # Measured by hand, by the commands that their files name: gazebo_scores, sitl_scores, sitl_core_46, sitl_core_47,
 # systems_earlier. evaluations is a history.
 set -euo pipefail
@@ -124,9 +124,6 @@ fi
 if [[ ${LESSON:-} ]]; then
   measure teaching teaching --labels "$LESSON/labels" --tasks "$LESSON/tasks" --folder "$out/lesson" --start small
   measure teaching_20 teaching --labels "$LESSON/few" --folder "$out/lesson-few"
-fi
-if [[ ${PHOTOGRAPHS:-} ]]; then
-  measure photographs photographs --labels "$PHOTOGRAPHS" --policy "$policy" --reasoner "$reasoner"
 fi
 if [[ ${GPU:-} ]]; then
   measure openvla_gpu openvla_gpu --lora

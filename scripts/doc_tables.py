@@ -28,7 +28,6 @@ from score_tables import (
     lessons,
     other_conditions,
     paper,
-    photographs,
     reasoner_worth,
     runs_of,
     sitl_scores,
@@ -64,7 +63,7 @@ PILOTS_AND_BASELINES = (
 FLOWN: Final = frozenset(
     (
         *("audit_r1", "audit_race", "audit_small", "clutter", "first_score"),
-        *("gates", "harnesses", "inference", "live_page", "losses", "missions", "moving", "photographs"),
+        *("gates", "harnesses", "inference", "live_page", "losses", "missions", "moving"),
         *("ratios", "real_time", "reasoner_alone", "say", "serving", "swaying", "teaching", "teaching_20"),
     )
 )
@@ -189,7 +188,6 @@ TABLES: Final[dict[str, Description]] = {
             "calibration error": "{calibration_error:.1%}",
         },
     ),
-    "photographs": photographs,
     # docs/paper.md
     "published-tasks": rows_of(
         "published_tasks", {"pilot": "{who}", "passes, per cent": "{rate:.1f}", "flown in": "{where}"}

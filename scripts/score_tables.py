@@ -336,16 +336,6 @@ def lessons(store: Store) -> Table:
     return Table(heads, rows or [[NOT_MEASURED, *[""] * 3]])
 
 
-def photographs(store: Store) -> Table:
-    """A pilot past photographs of things that it knows by drawings."""
-    rows = [
-        [row["who"], f"{row['passed']} of {row['n']}", share(row["passed"] / row["n"]),
-         interval(wilson(row["passed"], row["n"]))]
-        for row in store.measured_rows("photographs")
-    ]  # fmt: skip
-    return Table(["pilot", "right", "rate", "95 % interval"], rows or [[NOT_MEASURED, "", "", ""]])
-
-
 def sitl_scores(store: Store) -> Table:
     """Flights with ArduCopter; their intervals follow from the counts."""
     heads = ["suite", "airframe", "autopilot", "passed", "95 % interval", "lost frames"]
