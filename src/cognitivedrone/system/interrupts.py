@@ -256,6 +256,7 @@ def _let_the_kernel_end() -> None:
 
 def _in_a_forked_child() -> None:
     """Signals to a child are not signals to us: it treats them in the usual way."""
+    sys.unraisablehook = sys.__unraisablehook__
     with suppress(ValueError):
         if any(hasattr(signal.getsignal(number), "kernel") for number in ENDED):
             signal.set_wakeup_fd(-1)
