@@ -99,6 +99,7 @@ measure step_responses step_responses
 measure openvla_memory openvla_memory
 if [[ $everything ]]; then
   measure environment environment
+  SCIPY_ARRAY_API=1 measure state_speed state_speed
   measure rendering rendering
   measure start_up start_up
   measure collection collection 300
