@@ -92,7 +92,7 @@ def test_a_config_that_cannot_be_read_is_refused(tmp_path, text):
 
 @pytest.mark.skipif(importlib.util.find_spec("lerobot") is not None, reason="lerobot is installed")
 def test_without_lerobot_the_command_that_installs_it_is_reported(tmp_path):
-    with pytest.raises(MissingExtra, match=r"lerobot is not installed; it comes with cognitivedrone\[lerobot\]"):
+    with pytest.raises(MissingExtra, match=r"is not installed; it comes with cognitivedrone\[lerobot\]"):
         make_policy(f"lerobot:{folder_of(tmp_path, CONFIG)},device=cpu")
 
 
