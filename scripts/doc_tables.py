@@ -285,6 +285,15 @@ TABLES: Final[dict[str, Description]] = {
         {"what": "{what}", "control steps/s": "{steps_per_s:,.0f}", "date": "{date}", "ratio": "{ratio:.2g}"},
         having="steps_per_s",
     ),
+    "state-speed": rows_of(
+        "state_speed",
+        {
+            "environment": "{what}",
+            "worlds": "{worlds}",
+            "control steps/s": "{steps_per_s:,.0f}",
+            "ratio": "{ratio:.2g}",
+        },
+    ),
     "ppo": rows_of("ppo", {"steps": "{steps:,}", "minutes": "{minutes:g}", "of": "{flown}", "passed": "{passed:.0%}"}),
     # docs/suites.md
     "evaluations": rows_of(
